@@ -26,7 +26,7 @@ from planrunner.observation.correlated_errors import mixed
 from planrunner.uncertainty.influences import Influence
 
 CREDIBLE = 0.95
-"""Probability with which B is below its bound."""
+"""Probability that B is below its bound."""
 _ANGLES = 512  # of B: arctan(B/scale) on an even grid, on which the prior is constant
 _MOST = 256  # observations
 _LEAST = 0.01  # of a variance that flicker within the segments leaves for white noise

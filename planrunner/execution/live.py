@@ -36,13 +36,13 @@ from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Segment
 
 EVERY = 1.0
-"""Seconds of real time between two states."""
+"""Real time between two states, s."""
 MOST_CHANNELS = 16
 """Number of channels that are shown."""
 STRIP = 180
-"""Number of intervals of a strip."""
+"""Number of intervals in a strip."""
 MOST_WAITING = 50_000
-"""Number of samples that are copied before they are summarised."""
+"""Number of samples that are collected before they are summarised."""
 NOTICES = 20
 
 

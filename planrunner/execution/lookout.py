@@ -23,7 +23,7 @@ from planrunner.instruments.interfaces import (
 from planrunner.plan.units import ZERO_CELSIUS
 
 EVERY = 1.0
-"""Seconds between two checks."""
+"""Time between two checks, s."""
 Notice = Callable[[str, str], None]
 
 
@@ -50,7 +50,7 @@ class Lookout:
         self._lost: InstrumentError | None = None
         self.conditions: Mapping[str, Condition] = {}
         self.looks = 0
-        """Number of times that the instruments were asked."""
+        """Number of queries of the instruments."""
 
     @property
     def sees(self) -> bool:

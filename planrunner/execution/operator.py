@@ -19,7 +19,7 @@ from planrunner.execution.stopping import StopRequest
 from planrunner.plan.schedule import Segment
 
 EVERY = 0.1
-"""Seconds of real time between two checks for an answer."""
+"""Real time between two checks for an answer, s."""
 NOT_ASKED = "not asked: the bench is simulated"
 
 

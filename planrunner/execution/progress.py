@@ -47,7 +47,8 @@ class SegmentFinished:
 
 
 ProgressEvent = Underway | SegmentBegun | Advanced | SegmentFinished
-"""`Underway` before the first segment, while a recording is examined that is to be played back."""
+"""Event of a run. Before the first segment, `Underway` reports the progress of the check of a recording that will be played
+back."""
 ProgressCallback = Callable[[ProgressEvent], None]
 
 

@@ -67,9 +67,10 @@ class Reaching:
         self.mode_since: float | None = None
         """Time of the mode command on the bench's clock, s; None after an interruption."""
         self.soak_again = True
-        """False at first and after an interruption, when the time of the sensor at its temperature is unknown."""
+        """False at the start and after an interruption, because it is then unknown how long the sensor has been at its
+        temperature."""
         self.moving_perhaps = False
-        """False after an interruption, when the table may be moving."""
+        """False after an interruption, because the table may then be moving."""
 
     def forget(self) -> None:
         """Forgets the last commands, because the bench was made safe."""
@@ -232,7 +233,7 @@ def _unsettled(segment: Segment, stability: Stability, wrong: list[str]) -> str:
 
 
 DRIFT_OVER = 60.0
-"""Seconds over which the drift of a temperature is measured while a segment records."""
+"""Time over which the drift of a temperature is measured while a segment records, s."""
 SHOWN = {
     "position_error": ("arcsec", 180 * 3600 / math.pi),
     "rate_error": ("deg/s", 180 / math.pi),

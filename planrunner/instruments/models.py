@@ -25,10 +25,10 @@ DataOrigin = Literal["measured", "simulated", "replayed"]
 """Source of the samples of a run: real instruments; instruments of which at least one is simulated; an earlier recording."""
 
 Senses = Literal["angular rate", "acceleration"]
-"""Quantities sensed by inertial outputs; also the names of these dimensions."""
+"""Quantities that inertial outputs sense. They are also the names of the dimensions of these quantities."""
 
 NOMINAL_SUPPLY = 5.0
-"""Supply voltage [V] of a sensor that states none."""
+"""Supply voltage [V] that is assumed for a sensor without a stated one."""
 
 _SHORT = 1e-3  # s; a lag too short to be felt
 

@@ -27,7 +27,7 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import EVERYTHING, Span
 
 HELD = 1_000_000
-"""Longest recording, in rows, that is kept in memory so that many stretches of it are read quickly."""
+"""Maximum number of rows of a recording that is kept in memory. From memory, many parts of the recording are read quickly."""
 
 
 def beneath(root: Path | None, name: str) -> Path:

@@ -31,10 +31,10 @@ from planrunner.plan.units import DIMENSIONS, Unit, UnknownUnitError, unit
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 COLUMN = r"[^\x00-\x1f]{1,200}"
 WRITTEN = ("date_time", "time_of_day")
-"""Times that are texts: a date with a time, and a time of day."""
+"""Kinds of times that are texts: a date with a time, and a time of day."""
 TIME_UNITS = ("s", "ms", "us", "ns", "min", "h", "days", *WRITTEN)
 SECONDS = dict(zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9, 60.0, 3600.0, DAY, 1.0, 1.0), strict=True))
-"""Seconds per unit of a time; a time that is a text is read in s."""
+"""Seconds per unit of time. A time that is a text is converted to seconds."""
 SAMPLE_COUNT: Final = "sample_count"
 _NO_TRIM = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
 

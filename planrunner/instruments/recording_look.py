@@ -41,22 +41,23 @@ from planrunner.plan.units import STANDARD_GRAVITY, unit
 
 FileRows = Iterator[tuple[int, Array, dict[str, Array]]]
 WINDOW = 0.5
-"""Seconds over which scatter is taken to tell rest from motion."""
+"""Length of the window [s] in which the scatter is computed to distinguish rest from motion."""
 MOST_WINDOWS = 100_000
 AT_LEAST = 2.0
-"""Shortest still span, s."""
+"""Shortest span that counts as rest, s."""
 MOST_G = 1200.0
-"""Longest mean vector at rest that can be 1 g, in mg."""
+"""Greatest length of the mean vector at rest, in mg, for which the vector can be gravity."""
 MOST_DEGREES = 400.0
-"""Highest temperature, degC."""
+"""Highest plausible temperature, degC."""
 MOVING = 4.0  # times the scatter of the quietest tenth of the windows
 COURSE = 1.0
-"""Change of the mean from one window to the next, over the scatter in the window, above which the window shows a motion: 2.4 for a constant
-slope, 0.2 for white noise in windows of 50 samples."""
+"""Limit for the change of the mean from one window to the next, divided by the scatter in the window. Above it, the window shows a
+motion. The ratio is 2.4 for a constant slope, and 0.2 for white noise in windows of 50 samples."""
 PAUSE = 2.0
-"""Step of the time, s, that is a pause between two pieces of a recording, if it is also longer than some intervals between samples."""
+"""Step of the time [s] from which it counts as a pause between two parts of a recording. The step must also be longer than
+`_PERIODS` sample intervals."""
 _PERIODS = 5.0
-"""Intervals between samples that are no pause yet."""
+"""Number of sample intervals up to which a step of the time is not a pause."""
 _SAME_RATE = 0.02
 _RANGE = 50.0  # scatter in motion over the largest at rest: noise may grow with the orientation
 _LARGE = 0.99  # quantile of a gyro's means that shows its unit: single wrong values do not count

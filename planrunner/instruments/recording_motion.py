@@ -20,7 +20,7 @@ from planrunner.plan.units import unit
 
 UNITS = ("rad/s", "deg/s", "deg/h")
 LEAST_TURNS = 4
-"""Turns without which nothing is concluded."""
+"""Smallest number of turns from which a conclusion is drawn."""
 _LEAST_ANGLE = 20.0  # deg by which gravity must turn
 _LONGEST = 30.0  # s of a turn, over which the bias of a gyro may add up
 _AGREES = 15.0  # deg of median error with which gyros and accelerometers agree

@@ -24,11 +24,12 @@ from planrunner.instruments.sample_rates import RowsAtOneRate, SampleRates
 from planrunner.plan.span import ROUNDING, Span
 
 GAP = 1.5
-"""Number of sample periods: if samples are further apart, one is missing. A segment may also end this long after the last sample."""
+"""Longest distance between two samples, in sample periods. If the distance is longer, a sample is missing. A segment may also end
+this long after its last sample."""
 LEAST_ROWS = 100
-"""Rows from which a channel that keeps one value counts as dead."""
+"""Number of rows from which a channel with a constant value counts as dead."""
 SHOWN = 3
-"""Maximum number of places that a finding names; the others are counted."""
+"""Maximum number of places that a finding names. It states only the number of the others."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,7 +26,7 @@ from planrunner.plan.source import read_text
 from planrunner.plan.span import Span
 
 LabelledRow = Mapping[str, str | None]
-"""Column → cell."""
+"""A row of the table of labels: the cell of each column, by the name of the column."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,11 +12,11 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
 RowValue = TypeVar("RowValue", bound=np.generic)
-"""Type of the values that belong to the times."""
+"""Type of the value that belongs to each time."""
 _ROWS = 64
-"""Rows over which the rate is determined."""
+"""Number of rows from which the rate is determined."""
 _OTHER = 0.2
-"""Relative difference from which the rate counts as another one."""
+"""Relative difference above which two rates count as different."""
 
 
 @dataclass(frozen=True, slots=True)

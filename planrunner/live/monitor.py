@@ -26,9 +26,9 @@ from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 
 SILENT = 5.0
-"""Seconds without a new state after which the lock of a run is tried."""
+"""Time without a new state after which the monitor checks whether the run is still locked, s."""
 RECENT = 20
-"""Number of runs that are listed although they do not run."""
+"""Maximum number of listed runs that are not in progress."""
 
 RunOutcome = Literal["finished", "not finished", "unreadable"]
 

@@ -26,15 +26,15 @@ from planrunner.live.monitor import Activity, Monitor
 
 LOOPBACK = "127.0.0.1"
 EVERY = 1.0
-"""Seconds between two looks at the archive while somebody watches."""
+"""Time between two readings of the archive while a page is watching, s."""
 KEEP_ALIVE = 15.0
-"""Seconds after which a line is sent although nothing has changed."""
+"""Time after which a line is sent even if nothing has changed, s."""
 MOST_BODY = 4096
 """Maximum size in bytes of the body of a request."""
 MOST_WATCHERS = 16
 """Maximum number of pages that watch at the same time."""
 TIMEOUT = 30.0
-"""Seconds that a request may take to arrive."""
+"""Maximum time in which a request must arrive, s."""
 
 FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
@@ -46,7 +46,7 @@ FILES: Mapping[str, tuple[str, str]] = MappingProxyType(
         "/uPlot.css": ("vendor/uPlot.min.css", "text/css; charset=utf-8"),
     }
 )
-"""Path → shipped file and its type. Nothing else is served as a file."""
+"""The only files that the server sends: for each path, the shipped file and its type."""
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; base-uri 'none'; "

@@ -82,7 +82,7 @@ class StandardFirst:
 
 
 CHECK_STANDARD = "check standard"
-"""Stands in the place of the name of a plan; no plan can have this name."""
+"""Used instead of the name of a plan. No plan can have this name."""
 
 
 def expand_suite(

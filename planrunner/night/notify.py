@@ -13,7 +13,7 @@ from planrunner.night.suite import Notification
 from planrunner.night.summary import headline, summary
 
 PATIENCE = 30.0
-"""Seconds that a server may take to answer."""
+"""Time within which a server must answer, s."""
 SIGNATURE = "X-Planrunner-Signature"
 
 

@@ -33,7 +33,7 @@ def holds_nights(folder: Path) -> bool:
 
 StateOfTest = Literal["waiting", "running", "passed", "failed", "known_failure", "fault", "refused", "not_run"]
 BAD: tuple[StateOfTest, ...] = ("fault", "refused", "not_run")
-"""States that mean that a test gave no result."""
+"""States of a test that gave no result."""
 DONE, LIMIT_FAILED, FAULT, INTERRUPTED = 0, 1, 3, 130
 
 

@@ -44,20 +44,20 @@ from planrunner.night.history.trend import trend
 
 FORMAT = 1
 NIGHTS = 30
-"""Number of nights that the wall offers."""
+"""Number of nights that can be selected on the wall."""
 MOST_RECORD = 2**24
 """Maximum size in bytes of the record of a night."""
 CHUNK = 1000
 """Number of runs in one file."""
 NIGHT = timedelta(hours=24)
-"""The wall shows the runs of this time up to the newest run."""
+"""Length of the period that the wall shows. The period ends at the newest run."""
 ENTRY = "data.js"
-"""Makes a folder known as a site, too: only such a folder, or an empty one, is written to."""
+"""File by which a folder is recognised as a site. planrunner writes only to such a folder or to an empty one."""
 DATA = re.compile(r"data-[0-9a-f]{16}")
 PAGE = ("site.html", "site.js", "strip.js", "page.css")
 VENDORED = ("uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE")
 REPORTS = (".html", ".md")
-"""Endings of the files of an analysis to which the site links."""
+"""Extensions of the files of an analysis to which the site links."""
 
 
 @dataclass(frozen=True, slots=True)

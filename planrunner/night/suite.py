@@ -28,7 +28,7 @@ from planrunner.plan.parameters import VALUE
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 HEADER = "planrunner_suite"
-"""The key that only a suite has."""
+"""Key by which a suite is recognised; no other file has it."""
 DEVICE = r"[A-Za-z0-9][A-Za-z0-9_.-]{0,59}"
 DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
 _PATH = r"[^\x00-\x1f]{1,200}"

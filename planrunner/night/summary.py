@@ -17,7 +17,7 @@ WORDS = {
     "waiting": "not yet run",
     "running": "running",
 }
-"""State of a test in words."""
+"""The states of a test in words."""
 _ANNOTATION = {"failed": "error", "fault": "error", "refused": "error", "not_run": "error", "known_failure": "warning"}
 
 

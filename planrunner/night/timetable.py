@@ -28,10 +28,10 @@ from planrunner.night.suite import Suite
 from planrunner.night.words import spell_out
 
 BUSY_PAUSE = 30.0
-"""Seconds until a test is tried again whose bench another process uses."""
+"""If another process uses the bench of a test, the test is tried again after this time [s]."""
 _ALWAYS = Opening(-math.inf, math.inf)
 _OPENINGS = 60
-"""Openings of a bench's window that are considered in one night."""
+"""Maximum number of openings of a bench's time window that are considered in one night."""
 
 
 class EndOfTest(Enum):
@@ -43,7 +43,7 @@ class EndOfTest(Enum):
     FAULT = "fault"
     """A fault of the bench or of the computer during execution."""
     REFUSED = "refused"
-    """The plan, or something that it needs, was wrong: nothing moved."""
+    """The plan, or a file that it needs, was wrong; the test moved nothing."""
     BUSY = "busy"
     """Another process uses the bench; the test is tried again."""
 
@@ -141,13 +141,13 @@ class NightCourse:
     _tests: list[_Test] = field(default_factory=list)
     _benches: dict[str, _Bench] = field(default_factory=dict)
     _devices: dict[str, str] = field(default_factory=dict)
-    """Device → why no further test begins on it."""
+    """For each device on which no further test begins, the reason."""
     _followers: list[list[int]] = field(default_factory=list)
     """For each test, the tests that begin after it."""
     _dependents: list[list[int]] = field(default_factory=list)
     """For each test, the tests that need it."""
     _paused: list[tuple[float, int]] = field(default_factory=list)
-    """Heap of the instants from which tests may begin that wait for nothing else."""
+    """Heap of tests that wait only for a certain time, each with this time."""
     _lost: set[int] = field(default_factory=set)
     """Waiting tests that cannot run any more."""
 

@@ -45,10 +45,11 @@ from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
 
 RowNumbers = NDArray[np.int64]
 Numbered = RowNumbers | range
-"""Numbers of rows; a range where none is missing, which costs nothing to make."""
+"""Numbers of rows. If no row is missing, this is a `range`, which needs no memory."""
 
 CHANCE = 1e-12
-"""Probability that a sample of white Gaussian noise is found to be an outlier: none among 10⁸ samples, except with a chance of 10⁻⁴."""
+"""Probability that a sample of white Gaussian noise counts as an outlier. Among 10⁸ samples, an outlier is found with a probability
+of 10⁻⁴."""
 
 _PIECE = 1 << 14  # samples that are examined together
 _BESIDE = 64  # samples of context on either side of a piece
@@ -836,7 +837,7 @@ def _trimmed(sizes: Array) -> float:
 
 
 FILLED = 64
-"""Rows of a bad stretch that is filled on a straight line, at most; a longer one reads as missing."""
+"""Maximum number of rows of a bad stretch that is filled by linear interpolation. A longer stretch counts as missing."""
 
 
 def without_bad(recorded: RecordedSegment) -> RecordedSegment:

@@ -23,11 +23,12 @@ _LEAST = 100  # samples of a segment that is judged
 _READ = 1 << 14  # samples from which the noise of another segment is taken
 _COMPARED = 3  # other segments, the nearest in time
 _WHITE = 1.0
-"""Mean second difference over mean first difference: 1.73 for white noise, far below 1 for a smooth signal."""
+"""Limit for the ratio of the mean second difference to the mean first difference. The ratio is 1.73 for white noise, and far below
+1 for a smooth signal."""
 RUN = 10
-"""A stuck stretch is longer than so many times the runs of equal samples of the same channel."""
+"""Smallest ratio of the length of a stuck stretch to the other runs of equal samples in the same channel."""
 PER_SIGMA = 1.954
-"""Mean size of a second difference of white noise, standard deviations."""
+"""Mean absolute second difference of white noise, in standard deviations of the noise."""
 
 
 def with_standing(

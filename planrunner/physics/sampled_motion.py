@@ -13,15 +13,16 @@ from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rock, Spin
 
 SHOWS_ANGLE = 1.0
-"""m/s²: smallest amplitude of gravity along an accelerometer that shows the angle of a turning table. It is far above the amplitude that
-errors of an accelerometer or a tilt of the table cause once per turn."""
+"""Smallest amplitude of gravity along an accelerometer [m/s²] that shows the angle of a turning table. The amplitude that errors of
+an accelerometer or a tilt of the table cause once per turn is much smaller."""
 
 OFFSET = 0.1
-"""m/s²: standard deviation of the constant error of an accelerometer (10 mg) in the search for the angle of a table. It bounds the error
-of the angle if the table covers only a small part of a turn."""
+"""Standard deviation of the constant error of an accelerometer in the search for the angle of a table, m/s². The value (10 mg)
+limits the error of the angle if the table covers only a small part of a turn."""
 
 FOREIGN = 3.0
-"""Ratio of the measured to the expected input once per turn at and above which the input has another cause than the Earth."""
+"""Limit for the ratio of the measured to the expected input once per turn. At and above it, the input has another cause than the
+rotation of the Earth."""
 
 
 class AngleFrom(StrEnum):

@@ -19,11 +19,11 @@ CARDINAL: dict[str, Direction] = {
     "up": (0.0, 0.0, 1.0),
     "down": (0.0, 0.0, -1.0),
 }
-"""The directions along the site's axes; attitudes along them are the 24 cardinal ones of a design."""
+"""The directions along the axes of the site. The attitudes along these directions are the 24 cardinal attitudes of a design."""
 DIRECTIONS: dict[str, Direction] = {**CARDINAL}
 """Every word that a plan or a bench file may use, with its unit vector."""
 RIGHT_ANGLE = 1e-9
-"""Directions with a smaller scalar product count as perpendicular."""
+"""Scalar product below which two directions count as perpendicular."""
 
 
 def word_of(direction: Iterable[float], within: float = 1e-9) -> str | None:

@@ -17,7 +17,7 @@ from planrunner.plan.sweep import SweepValue
 MAX_SEGMENTS = 10_000
 
 StateValues = dict[str, Any]
-"""Key of a state → its value, or `UNREADABLE`. The keys are those that the record `State` declares."""
+"""Values of the keys of a state; `UNREADABLE` replaces a value that cannot be read. The record `State` declares the keys."""
 
 _PLACEHOLDER = re.compile(r"\{([a-z_]*)\}")
 

@@ -486,7 +486,7 @@ dataclass(frozen=True, kw_only=True)(Record)
 
 
 Fields = Mapping[str, dataclasses.Field[Any]]
-"""YAML key → field."""
+"""Fields, by their YAML keys."""
 _KEYS: dict[type[Record], Fields] = {}
 
 

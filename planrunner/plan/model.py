@@ -57,7 +57,7 @@ NOMINAL_TERMS = (
     "accel_scale_factor",
     "accel_misalignment",
 )
-"""Terms that a simulation can fit: a bias and a 3 by 3 matrix per triad, and the known Earth rate."""
+"""Terms that a simulation can fit: for each triad a bias and a 3 by 3 matrix, and the known rotation of the Earth."""
 
 
 class DiagnosisSpec(Record):

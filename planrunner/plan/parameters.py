@@ -17,7 +17,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import COMMAND_LINE, Findings, InputError, Mark, closest
 
 NAME = r"[A-Za-z0-9_-]{1,60}"
-"""Name of a parameter: an anchor."""
+"""Form of the name of a parameter, which is the name of a YAML anchor."""
 VALUE = r"[^\x00-\x1f]{1,200}"
 
 _Loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

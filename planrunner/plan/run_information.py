@@ -12,7 +12,7 @@ from planrunner.plan import source
 from planrunner.plan.model import Plan
 
 DEVICE = ("device_serial", "item_identification")
-"""Items of the run information that name the device; the first one that is given counts."""
+"""Items of the run information that name the device. If several are given, the first one counts."""
 
 
 def device_of(info: Mapping[str, object]) -> str:

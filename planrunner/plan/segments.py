@@ -122,7 +122,7 @@ WATCH = RecordOf(WatchSpec, _check_difference)
 RATE_UNCERTAINTY = (
     "`rate_uncertainty` of a scale-factor estimate, or as `rate_stability` of the table in the bench file"
 )
-"""Where the uncertainty of a rate must be stated."""
+"""The places at which the uncertainty of a rate can be stated, for messages."""
 
 
 class RockSpec(Record):
@@ -254,7 +254,7 @@ class Turns(Record):
 
 
 TEMPERATURE_UNCERTAINTY = "`temperature_uncertainty` of the chamber in the bench file"
-"""Where the uncertainty of a segment's temperature must be stated."""
+"""The places at which the uncertainty of a segment's temperature can be stated, for messages."""
 
 NAME = r"[A-Za-z][A-Za-z0-9_-]{0,39}"
 

@@ -14,9 +14,9 @@ from planrunner.reporting.rounding import rounded
 from planrunner.reporting.words import behind_number
 
 MOST = 3
-"""Parameters in a sentence; the table of parameters contains all."""
+"""Maximum number of parameters in a sentence. The table of parameters contains all of them."""
 CLEAR = 2.0
-"""Multiple of its standard uncertainty from which a parameter is worth a place in the sentence."""
+"""Smallest ratio of a parameter to its standard uncertainty for which the sentence mentions the parameter."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,13 +22,14 @@ from planrunner.reporting.words import listed
 SURE = 0.95
 """Probability of pure noise at and above which the page reports no gap."""
 CONSPICUOUS = 0.05
-"""Deviations that noise alone causes with more than this probability are not shown."""
+"""Largest p-value of a deviation that is shown. Noise alone causes such a deviation with at most this probability."""
 SMALL_REST = 0.05
-"""Share of a gap, as a root mean square, below which an effect explains nearly all of it."""
+"""Limit for the unexplained part of a gap, as a fraction of the gap's root mean square. Below it, the effect explains nearly all of
+the gap."""
 WRONG_BY = 2.0
-"""Factor up to which a declared noise may be wrong without a sentence about it beside the verdict."""
+"""Largest factor by which declared noise may be wrong before the verdict mentions it."""
 DEPARTURE = 0.05
-"""Relative departure of the noise from its declaration that is reported."""
+"""Smallest relative difference between the noise and its declaration that is reported."""
 MOST_PLACES = 12
 MOST_PARAMETERS = 24
 MOST_POINTS = 24

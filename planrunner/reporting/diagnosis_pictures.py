@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Data = Mapping[str, Json]
 
 SHOWN = 0.005
-"""Hypotheses with a lower probability are combined as `others`."""
+"""Lowest probability of a hypothesis that is shown separately. The other hypotheses are combined as `others`."""
 
 
 MOST_HYPOTHESES = 12
@@ -36,10 +36,10 @@ def ranked(found: Data) -> list[tuple[str, float]]:
 
 
 MOST_CHANNELS = 6
-"""Number of channels with plots of spectra and means; those with the largest gap come first."""
+"""Maximum number of channels with plots of spectra and means. The channels with the largest gap are chosen."""
 HOTTEST = 100.0
-"""Multiple of the noise at and above which the heat map has a single colour. For a gap above it everywhere the value is ten times as
-large, and so on."""
+"""Smallest upper end of the heat map's colour scale, in units of the noise. If the largest value is 1000 or more, the scale ends at
+the largest power of ten that does not exceed this value."""
 
 
 def pictures(found: Data) -> list[JsonObject]:

@@ -24,7 +24,7 @@ from planrunner.review.compared import Compared
 from planrunner.review.difference import PartChange
 
 MOST_CHARACTERS = 60_000
-"""Longest comment; code hosts refuse comments of more than 65 536 characters."""
+"""Maximum length of a comment. Code hosts refuse comments of more than 65 536 characters."""
 
 _SIDES = ("before", "after")
 

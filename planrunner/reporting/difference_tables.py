@@ -22,7 +22,7 @@ from planrunner.review.runs import CoefficientDifference
 
 FORMAT = 1
 MOST_TEXT = 160
-"""Longest text of a cell; what is longer ends with an ellipsis."""
+"""Maximum length of the text in a cell. A longer text is cut and ends with an ellipsis."""
 
 
 def headline(compared: Compared) -> str:

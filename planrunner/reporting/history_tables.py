@@ -22,7 +22,7 @@ from planrunner.reporting.verdict import stamp
 
 _NOT_MEASURED: tuple[DataOrigin, ...] = ("simulated", "replayed")
 HEIGHT, WIDTH = 13, 72
-"""Rows and columns of the plot on the terminal."""
+"""Numbers of rows and columns of the plot on the terminal."""
 
 
 def runs_table(runs: Sequence[RunRow]) -> Table:

@@ -18,7 +18,7 @@ from planrunner.night.words import spell_out
 WARM_UP = "warm-up"
 MOST_BARS = 400
 _STEPS = (60, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 172800, 604800)
-"""Distances of the ticks of a time axis, s."""
+"""Possible distances between the ticks of a time axis, s."""
 
 
 @dataclass(frozen=True, slots=True)

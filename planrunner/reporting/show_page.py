@@ -25,7 +25,7 @@ from planrunner.reporting.view import coefficient_row, named, table_view
 MAX_PICTURES = 200
 MAX_BARS = 5000
 _IDLE = ("–", "0")
-"""Cells without information; a column with only such cells is left out."""
+"""Contents of cells without information. A column that contains only such cells is left out."""
 
 
 @dataclass(frozen=True, slots=True)

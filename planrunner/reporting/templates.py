@@ -23,9 +23,9 @@ __all__ = ["ReportError", "available", "render"]
 MAX_SECONDS = 30.0
 """Maximum computing time of a user's template, s."""
 MAX_MEMORY = 1 << 30
-"""Maximum memory for a user's template in bytes, including the program that lays it out."""
+"""Maximum memory for a user's template in bytes, including the program that renders it."""
 PATIENCE = 10
-"""Multiple of `MAX_SECONDS` after which the parent ends the child; it allows for a busy computer."""
+"""Multiple of `MAX_SECONDS` after which the parent process ends the child process. It allows for a busy computer."""
 
 
 def render(name: str, given: Mapping[str, Json], folder: Path | None = None) -> str:

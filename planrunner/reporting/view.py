@@ -276,9 +276,9 @@ def render_report(context: ReportContext, template: str, folder: Path | None = N
 
 
 PREFIX = "planrunner:seal:sha256:"
-"""What the code begins with; the 64 hexadecimal digits follow."""
+"""The start of the code, which the 64 hexadecimal digits follow."""
 MODULE = 2
-"""Width of a module on the screen, CSS pixels; 0.5 mm in print, which phones read."""
+"""Width of a module on the screen in CSS pixels. In print, the width is 0.5 mm, which phones can read."""
 
 
 def seal_code(digest: str) -> str:

@@ -31,7 +31,7 @@ from planrunner.signing.statement import PAYLOAD, STATEMENT, payload_of, printab
 APPROVAL = "urn:planrunner:approval:v1"
 WITHDRAWAL = "urn:planrunner:approval-withdrawal:v1"
 DECLARED = "I have reviewed this plan. It may run on the benches that are named here."
-"""The statement of an approval, unless the reviewer gives another one."""
+"""Default statement of an approval."""
 _HEX = frozenset("0123456789abcdef")
 
 ApprovalStanding = Literal[
@@ -51,7 +51,7 @@ ApprovalStanding = Literal[
     "author",
     "same person",
 ]
-"""Whether an approval counts, or the first reason why it does not."""
+"""Standing of an approval: "counts", or the first reason why the approval does not count."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,10 +21,11 @@ from planrunner.plan.quantity import Quantity
 from planrunner.review.meaning import Branch, Meaning, StatedValue, plain
 
 KeyPath = tuple[str, ...]
-"""The keys that lead to a part of a meaning, such as `("estimates", "drift", "terms")`."""
+"""The sequence of keys to a part of a meaning, for example `("estimates", "drift", "terms")`."""
 
 Tendency = Literal["loosened", "tightened", "both", ""]
-"""What happens to a limit: whether more values pass, fewer, or some of each. Empty if the change says nothing about it."""
+"""Effect of a change on a limit: more values pass, fewer values pass, or both for different values. Empty if the change does not
+concern a limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,8 @@ class MeaningDifference:
     texts: tuple[PartChange, ...] = ()
     rounded: tuple[PartChange, ...] = ()
     pairs: tuple[tuple[int | None, int | None], ...] = field(default=(), repr=False)
-    """Indices of matched segments, in the order of the second plan, each removed segment after the one that it followed."""
+    """Indices of matched segments, in the order of the second plan. Each removed segment comes after the segment that it followed
+    in the first plan."""
 
     @property
     def empty(self) -> bool:
@@ -141,10 +143,10 @@ def _label(segment: Segment_) -> str:
 
 
 MOST_CHANGED = 2
-"""Number of keys in which two segments with different labels may differ and still count as one that was changed."""
+"""Maximum number of different keys for which two segments with different labels count as one changed segment."""
 
 _NEAR = 20
-"""How many unmatched segments of a gap are compared with another."""
+"""Maximum number of unmatched segments with which a segment is compared."""
 
 
 def matched(a: Sequence[Segment_], b: Sequence[Segment_]) -> list[tuple[int | None, int | None]]:
@@ -353,7 +355,7 @@ def _limit_in_words(limit: dict[str, Branch] | None, other: dict[str, Branch] | 
 
 
 _RULE = ("rule", "guard_band", "coverage", "prior")
-"""What a limit says beside its bounds."""
+"""Keys of a limit in addition to its bounds."""
 
 
 def tendency(before: Mapping[str, Branch] | None, after: Mapping[str, Branch] | None) -> Tendency:

@@ -37,10 +37,10 @@ from planrunner.plan.selection import Detection, Labels
 from planrunner.plan.units import Dimension
 
 VERSION = 1
-"""Version of the form of the meaning. A digest holds for one version only."""
+"""Version of the format of the meaning. A digest is valid for one version only."""
 
 DIGITS = 12
-"""Significant digits of a number. Conversions of units are exact to about 15."""
+"""Number of significant digits of a number. Unit conversions are exact to about 15 digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -404,7 +404,8 @@ def _matrix(orientation: Orientation) -> Json:
 
 
 _LARGEST_INTEGER = 2**53
-"""JSON numbers are exact to here (RFC 8785, 3.2.2.3); larger whole numbers, such as seeds, become texts."""
+"""Largest integer that a JSON number represents exactly (RFC 8785, 3.2.2.3). Larger integers, such as seeds, are written as
+texts."""
 
 
 def _number(value: float) -> Json:

@@ -51,7 +51,7 @@ SignatureMeaning = Literal[PersonMeaning, BenchMeaning]
 MEANINGS: tuple[PersonMeaning, ...] = get_args(PersonMeaning)
 BENCH_MEANINGS: tuple[BenchMeaning, ...] = get_args(BenchMeaning)
 BENCH_ROLE = "bench"
-"""Role in a key ring: the owner is the bench of this name."""
+"""Role in a key ring that states that the key belongs to a bench. The owner is the name of the bench."""
 TestResult = Literal["PASSED", "WARNED", "FAILED"]
 SignatureStanding = Literal["valid", "unknown key", "invalid"]
 _FILE = re.compile(rf"([0-9]{{4}})-({'|'.join((*MEANINGS, *BENCH_MEANINGS))})\.dsse\.json\Z")

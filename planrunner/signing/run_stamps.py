@@ -26,7 +26,7 @@ from planrunner.signing.declared import declared
 from planrunner.signing.time_stamps import StampAuthority, StampError, parse_authority, stamp_time, stamped_digest
 
 LATE = timedelta(hours=1)
-"""A seal that was stamped later than this after its stated time is reported."""
+"""Largest accepted delay between the stated time of a seal and its time stamp. A longer delay is reported."""
 
 StampStanding = Literal["valid", "unknown authority", "invalid"]
 

@@ -13,7 +13,7 @@ from planrunner.archive.run_folder import Witnessed
 from planrunner.signing.time_stamps import StampAuthority, StampError, request_stamp
 
 LAST_PATIENCE = 30.0
-"""Seconds to wait for the stamp of the end of a run."""
+"""Time to wait for the time stamp of the end of a run, s."""
 
 
 class Stamper:
@@ -25,7 +25,7 @@ class Stamper:
         self._open: list[int] = []
         self._next = 0.0
         self.missed: list[str] = []
-        """Why stamps are missing, one reason for each."""
+        """The reason for each missing time stamp."""
 
     def see(self, events: int, line: bytes, *, last: bool = False) -> None:
         now = time.monotonic()

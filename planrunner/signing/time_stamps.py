@@ -29,7 +29,7 @@ from planrunner.archive.stamp_files import MOST_BYTES
 SHA256 = x509.ObjectIdentifier("2.16.840.1.101.3.4.2.1")
 QUERY = "application/timestamp-query"
 PATIENCE = 10.0
-"""Seconds to wait for each step of an exchange with an authority."""
+"""Time to wait for each step of an exchange with a time stamp authority, s."""
 
 
 class StampError(ValueError):
@@ -91,7 +91,8 @@ _NOT_COMPROMISED = (
     x509.ReasonFlags.superseded,
     x509.ReasonFlags.cessation_of_operation,
 )
-"""Reasons after which stamps from before the revocation remain valid (RFC 3161, 4, item 1). With any other reason, or none, they do not."""
+"""Reasons of a revocation after which time stamps from before the revocation remain valid (RFC 3161, 4, item 1). With any other
+reason, or without a reason, these time stamps are not valid."""
 
 
 def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: StampAuthority) -> None:

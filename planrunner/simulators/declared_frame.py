@@ -81,7 +81,7 @@ CHECKS: Mapping[str, tuple[Callable[[Bytes], NDArray[np.generic]], int]] = {
     "zero_sum8": (sum_to_zero, 1),
     "xor8": (exclusive_or, 1),
 }
-"""Checksums by their names in bench files: algorithm and number of bytes."""
+"""Checksums, by their names in bench files. Each entry states the algorithm and the number of bytes."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
 Values = NDArray[np.floating | np.integer]
-"""Readings, real or whole."""
+"""Readings, as floating-point numbers or integers."""
 Order = Literal["big", "little"]
 
 
@@ -57,7 +57,7 @@ def joined(*parts: Bytes) -> Bytes:
 _REVERSED = np.packbits(
     np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1), axis=1, bitorder="little"
 ).ravel()
-"""Every byte with its bits in reverse order."""
+"""For every byte value, the byte with its bits in reverse order."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ DATAGRAMS = {
     for extra, identifiers in _FAMILIES.items()
     for identifier, (clusters, warm) in zip(identifiers, _PLAIN + _WARM, strict=True)
 }
-"""Identifier → the clusters it carries, whether their temperatures follow, and `pps`, `aux` or nothing."""
+"""Contents of each datagram, by its identifier: the clusters, whether their temperatures follow, and `pps`, `aux` or nothing."""
 _PER_G = {5: 2.0**20, 10: 2.0**19, 30: 2.0**18, 80: 2.0**16}
 _PER_DEGREE, _PER_TILT, _PER_KELVIN = 2.0**14, 2.0**22, 2.0**8
 _PER_INCREMENT = 2.0**21

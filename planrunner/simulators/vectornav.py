@@ -20,7 +20,8 @@ _COMMON = {
     "imu": (9, 6),
     "mag_pres": (10, 5),
 }
-"""Outputs of the common group by name: bit of the field word, and how many floats; the time is one whole number of 8 bytes."""
+"""Outputs of the common group, by name. Each entry states the bit in the field word and the number of floats. The time is one
+8-byte integer instead."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ EVALUATED_PLAN = "plan.yaml"
 FORMAT = 1
 MOST_TEXT = 500
 MAY_DIFFER = ("estimates", "limits", "report", "diagnosis")
-"""Keys of a plan that belong to the evaluation; all others describe what was done."""
+"""Keys of a plan that belong to the evaluation. All other keys describe what was done."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,7 +42,7 @@ from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.diff import compare_plans
 
 _ANYBODY = ApprovalRule(keys="", author_may_approve=True)
-"""For benches that require no approvals."""
+"""Rule for benches that require no approvals."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,11 +10,12 @@ from planrunner.instruments.recording_look import AT_LEAST, MOVING, WINDOW, Look
 from planrunner.plan.span import Span
 
 POSES = 9
-"""Poses that a calibration from |f| = g needs for three biases, three scale factors and three angles."""
+"""Number of poses that a calibration from the magnitude of gravity needs. It determines three biases, three scale factors and three
+angles."""
 LEAST_POSES, LEAST_RESTS = 2, 4
-"""Poses and intervals at rest without which a diagnosis has nothing to compare."""
+"""Smallest numbers of poses and of intervals at rest that a diagnosis can compare."""
 STILL = 0.9
-"""Share of the time without motion from which a recording counts as one at rest."""
+"""Fraction of the time without motion from which a recording counts as a recording at rest."""
 
 
 _DOUBTS = {
@@ -25,7 +26,7 @@ _DOUBTS = {
     "increments": " # increments: per_unit is the sample period in s",
 }
 _NOISE = {"degC": ("K", 1.0), "degF": ("K", 5 / 9)}
-"""Unit of a difference of temperatures, and its size."""
+"""For each unit of temperature: the unit of a temperature difference, and the conversion factor."""
 
 
 def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:

@@ -34,7 +34,7 @@ PATIENCE = 10.0
 """Longest time [s] to wait while another process signs or writes the same run."""
 
 _RESULTS: dict[VerdictKind, TestResult] = {"pass": "PASSED", "warned": "WARNED", "fail": "FAILED", "none": "WARNED"}
-"""Verdict → result of the statement, which has no word for a plan without limits."""
+"""For each verdict, the result in the statement. The statement has no word for a plan without limits."""
 
 
 def statement_result(results: Results) -> TestResult:

@@ -247,7 +247,7 @@ def _check_approvals(checked: Checked, plan_file: Path, plan: Plan, bench: Bench
 
 
 _OTHER_PAGES = ("show", "design", "diagnosis", "difference", "timetable")
-"""Templates of pages that are no reports of a run."""
+"""Templates of pages that are not reports of a run."""
 
 
 @cache

@@ -38,9 +38,9 @@ if TYPE_CHECKING:
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
 
 ROUNDS = 6
-"""Most rounds of `close`."""
+"""Maximum number of rounds of `close`."""
 SMALLEST = 0.01
-"""Share by which a round must reduce the gap, in standard deviations."""
+"""Smallest fraction by which a round must reduce the gap. The gap is measured in standard deviations."""
 _OTHER_SEED = 0x5EED
 
 

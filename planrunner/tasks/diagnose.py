@@ -202,7 +202,7 @@ def _without(observed: Observed, stated: Mapping[str, Mapping[str, str]], nomina
 
 
 _CLEARLY = 2.0
-"""Standard uncertainties by which a value must exceed its specification."""
+"""Number of standard uncertainties by which a value must exceed its specification."""
 
 
 def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findings) -> None:

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 FLEET_FORMAT = 1
 LOT = "lot"
-"""Item of the run information that names the lot that the device was made in."""
+"""Item of the run information that names the production lot of the device."""
 STATED = (Source.DEVICE, Source.BENCH, Source.OCCASION)
-"""The sources whose labels a table can state."""
+"""Sources whose labels a table can contain."""
 _COLUMNS = ("run", *(source.value for source in STATED))
 T = TypeVar("T")
 Obstacles = tuple[Finding, ...]

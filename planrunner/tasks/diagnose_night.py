@@ -20,7 +20,7 @@ from planrunner.tasks.history import Freshness, opened
 from planrunner.tasks.kept_diagnoses import KeptDiagnoses
 
 LEAST = 4
-"""Runs from which a change can be seen: two before it and two after it."""
+"""Smallest number of runs that can show a change: two before it and two after it."""
 
 
 def diagnose_night(

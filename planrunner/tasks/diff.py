@@ -139,7 +139,8 @@ class _Side:
 
 
 _NO_BENCH = ("file-missing", "meaning-unknown-bench")
-"""A plan is often compared away from its bench, for example by git, which puts the old version into a temporary folder."""
+"""Codes of findings about a missing bench, which are not errors here. A plan is often compared without its bench: for example, git
+copies the old version to a temporary folder."""
 
 
 def _forecast(checked: Checked) -> Forecast:

@@ -27,9 +27,9 @@ FOLDER = "PLANRUNNER_DIAGNOSES"
 """Environment variable for another folder."""
 _MOST = 2**22
 _LIFE = 180 * 86400.0
-"""Seconds after which a result is removed."""
+"""Time after which a result is removed, s."""
 _KEY = re.compile("[0-9a-f]{64}")
-"""Names of results. Other files in the folder are not ours."""
+"""Form of the names of results. Other files in the folder do not belong to planrunner."""
 
 
 @dataclass(frozen=True, slots=True)

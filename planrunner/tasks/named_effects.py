@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 Stated = list[tuple[str, dict[str, str]]]
 """Effects by name, each with its parameters as texts with units."""
 ESTIMATE = "diagnosed"
-"""Name of the estimate in the plan; a number follows where the plan has one already."""
+"""Name of the estimate in the plan. If the plan already contains this name, a number is appended."""
 
 
 def plan_with_estimate(made: Diagnosed) -> Checked:

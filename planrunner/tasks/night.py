@@ -55,16 +55,16 @@ from planrunner.tasks.diagnose_night import diagnose_night
 JOURNAL = "night.jsonl"
 RESERVE = "reserve"
 DIAGNOSIS_LOG = "diagnosis.txt"
-"""In the folder `logs`: the traceback of a diagnosis with an internal error."""
+"""File in the folder `logs` that contains the traceback of a diagnosis with an internal error."""
 RESERVE_BYTES = 2**20
-"""Kept free for the record of a night whose disk becomes full."""
+"""Disk space in bytes that is reserved for the record of a night. It is released if the disk becomes full."""
 MOST_RECORD = 2**26
 CLOCK_TOLERANCE = 5.0
-"""Seconds by which the computer's clock may be set without a remark."""
+"""Largest adjustment of the computer's clock that is not reported, s."""
 OVERDUE_FACTOR, OVERDUE_PAUSE = 1.5, 1800.0
-"""A test on a real bench is stopped after its planned duration times the factor, plus the pause in s."""
+"""Time limit of a test on a real bench: the planned duration multiplied by `OVERDUE_FACTOR`, plus `OVERDUE_PAUSE` [s]."""
 CONTINUED_WITHIN = 24 * 3600.0
-"""A night without an end is continued for this long after its last event, s."""
+"""Time after its last event within which an unfinished night can be continued, s."""
 
 
 class NightClock:
@@ -149,7 +149,7 @@ class _Child:
     kind: str
     begins: float
     ends: float
-    """Planned end."""
+    """Planned end of the night."""
     overdue: bool = False
 
 
@@ -343,7 +343,7 @@ class _Night:
         self._ended: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._gone: set[int] = set()
         self._begun_before: dict[int, str] = {}
-        """Test → id of the run that has to be continued."""
+        """For each test, the id of the run that must be continued."""
         self._waited: set[int] = set()
         self._trouble = ""
         self._told_to_stop = 0

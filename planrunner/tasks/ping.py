@@ -16,7 +16,7 @@ from planrunner.bench.opening import real_clock
 from planrunner.instruments.interfaces import Alive, Instrument, InstrumentError, Readable, Surroundings, Watched
 
 TIMES = 3
-"""Number of exchanges, whose median is the round-trip time."""
+"""Number of exchanges. The round-trip time is the median of their durations."""
 
 
 @dataclass(frozen=True, slots=True)

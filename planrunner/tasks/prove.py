@@ -21,8 +21,8 @@ from planrunner.tasks.run import computed_by, recompute, stored_results
 Reproduced = Literal["identical", "within tolerance", "different"]
 
 TOLERANCE = 1e-3
-"""Largest accepted change, as a fraction of the standard uncertainty of a coefficient, if other versions computed it. Results are shown to
-two digits of the uncertainty, so that a hundredth of the last digit remains."""
+"""Largest accepted change of a coefficient that other software versions computed, as a fraction of its standard uncertainty.
+Results are shown to two digits of the uncertainty, so such a change is about a hundredth of the last digit."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from planrunner.tasks.run import evaluated_as, stored_results
 from planrunner.tasks.verify import verification, verify_evaluations, verify_signatures
 
 UNUSUAL = ("noticed", "paused", "rescued", "failed", "stopped", "reopened")
-"""Kinds of events that a reviewer reads."""
+"""Kinds of events that a reviewer must read."""
 
 
 def review_of(

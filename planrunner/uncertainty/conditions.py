@@ -24,7 +24,7 @@ C = TypeVar("C")
 D = TypeVar("D")
 
 Moved = Callable[[float], C]
-"""Conditions with an input that is larger by the given amount, in the input's unit."""
+"""Function that returns the conditions after one input has been increased by the given amount, in the unit of the input."""
 
 
 @dataclass(frozen=True, slots=True)

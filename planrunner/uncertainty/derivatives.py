@@ -17,7 +17,8 @@ import numpy as np
 from planrunner.base.arrays import Array
 
 Formula = Callable[[Array], Array]
-"""q quantities (q, n) of n sets of p parameters (p, n), each set by itself. Complex parameters give complex quantities."""
+"""Function that computes q quantities (q, n) from n sets of p parameters (p, n). Each set is evaluated separately. Complex
+parameters give complex quantities."""
 
 _STEP = 1e-30
 

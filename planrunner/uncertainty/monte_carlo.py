@@ -30,8 +30,9 @@ BLOCK = 10_000
 HEAVY = 4.0  # degrees of freedom up to which t has no finite fourth moment
 
 Draws = Callable[["np.random.Generator", int], Array]  # quoted, so that checking a plan does not import the generators
-"""(generator, n) → draws of m coefficients, shape (m, n), in their units. Workers can share the draws only if the function can be pickled:
-a function of a module, or a `partial` of one."""
+"""Function that draws n random values of m coefficients from a generator. It returns an array of shape (m, n), in the units of the
+coefficients. Workers can share the draws only if the function can be pickled: a function of a module, or a `partial` of such a
+function."""
 
 
 @dataclass(frozen=True, slots=True)

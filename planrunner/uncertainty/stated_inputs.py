@@ -24,7 +24,7 @@ from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 
 ARCSEC = unit("arcsec").factor
 TYPICAL_DEVIATION = 5 * ARCSEC
-"""Deviations of the vertical are some arcseconds in flat country and tens in mountains."""
+"""Typical deviation of the vertical. It is some arcseconds in flat country and tens of arcseconds in mountains."""
 
 
 def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, MountedAxis]) -> Inputs:

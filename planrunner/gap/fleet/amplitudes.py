@@ -19,9 +19,10 @@ from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import Weighing
 
 _DEPENDENT = 1e-8
-"""Singular value, relative to the largest, of columns of unit length, below which a direction is not determined."""
+"""Limit for the singular values of columns of unit length, relative to the largest value. Below the limit, a direction is not
+determined."""
 _UNDETERMINED = 1e-6
-"""Share of an amplitude that may lie in directions that are not determined."""
+"""Largest fraction of an amplitude that may lie in undetermined directions."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,7 +47,8 @@ class Source(Enum):
 ALL_RUNS = "all runs"
 """Label of the only group of `Source.COMMON`."""
 PRIOR = 0.5
-"""Prior probability that a component contributes, independently of the others: their causes are independent."""
+"""Prior probability that a component contributes. It does not depend on the other components, because their causes are
+independent."""
 WEAKEST = 4.0
 """Smallest expected energy σ²·Σ 1/s_r² of a component; a weaker component cannot be distinguished from none and counts as absent."""
 LARGEST = 10.0

@@ -28,14 +28,16 @@ from planrunner.base.dataclass import dataclass
 from planrunner.gap.fleet.attribution import ALL_RUNS, COVERAGE, Estimates, Source
 
 LEVEL = 0.01
-"""Largest p-value of a change that is reported, after the correction for the number of changes that were tried."""
+"""Largest p-value of a reported change. The p-value is corrected for the number of changes that were tried."""
 LEAST = 2
-"""Runs before and after a step: one run alone may be an outlier."""
+"""Smallest number of runs before a step, and after it. A single run may be an outlier."""
 _MOST = 5
 _FIT = 1e-9
-"""Share of a column that must remain beside the others, and difference from 1 of the correlation of columns that count as equal."""
+"""Tolerance of the fit. A column must keep at least this fraction of its energy when the other columns are projected out. Two
+columns count as equal if their correlation differs from 1 by at most this value."""
 _LIKELY = 3.84
-"""Quantile 0.95 of χ² with one degree of freedom: places of a step with a χ² within it of the best are possible."""
+"""Quantile 0.95 of χ² with one degree of freedom. A place of a step is possible if its χ² exceeds the smallest χ² by at most this
+value."""
 
 
 class ChangeKind(Enum):

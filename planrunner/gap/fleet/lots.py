@@ -10,7 +10,7 @@ from planrunner.gap.fleet.amplitudes import AmplitudeKey
 from planrunner.gap.fleet.attribution import Uncertain
 
 MOST_CHANCE = 0.05
-"""Largest probability with which k devices drawn at random from all would be just those of the lot."""
+"""Largest accepted probability that k devices, drawn at random from all devices, are exactly the devices of the lot."""
 
 
 @dataclass(frozen=True, slots=True)

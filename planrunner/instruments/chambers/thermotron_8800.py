@@ -28,7 +28,7 @@ STOP_CODES = {
     10: "Therm-Alarm tripped",
 }
 TRIPS = {6, 7, 8, 10}
-"""Alarms that must be cleared before it may run again."""
+"""Alarms that must be cleared before the chamber can run again."""
 ALARMS = {0: "low deviation", 1: "high deviation", 4: "low process", 5: "high process"}
 """Bits of the alarm status."""
 

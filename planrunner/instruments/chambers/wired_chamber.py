@@ -19,7 +19,7 @@ from planrunner.plan.schedule import Segment
 from planrunner.plan.units import ZERO_CELSIUS
 
 MARGIN = 5.0
-"""Margin, K, beyond the range in the bench file at which a chamber stops by itself, if it can."""
+"""Distance [K] beyond the temperature range of the bench file at which a chamber stops automatically, if it supports this."""
 
 
 class WiredChamberKeys(LinkKeys, ChamberKeys):

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import h5py
 
 MAX_UNPACKED = 2_000_000_000
-"""Bytes of the arrays of a file that is read as a whole."""
+"""Maximum size in bytes of the arrays in a file that is read as a whole."""
 _COLUMN = re.compile(r"(.*)\[(\d{1,6})\]")
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _MATLAB_HEADER = 128

@@ -43,7 +43,7 @@ ENDINGS = {
     ".db": "sqlite",
     ".ulg": "ulog",
 }
-"""Formats by the ending of a file's name."""
+"""File formats, by the extension of the file name."""
 
 
 class Format(Record):

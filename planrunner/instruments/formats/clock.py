@@ -23,9 +23,10 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 DAY = 86_400.0
-"""Seconds."""
+"""Length of a day, s."""
 PlaceOfText = Callable[[int], str]
-"""Returns, for the index of a text, a text that names the file, the row and the column; it is used in messages."""
+"""Function that describes the place of a text for messages: the file, the row and the column. Its argument is the index of the
+text."""
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _END = r"\s*(?P<p>[AaPp])?(?:\.?[Mm]\.?)?\s*(?:Z|z|UTC|GMT)?(?P<z>[+-]\d{2}:?(?:\d{2})?)?(?:\[[^\]]*\])?\s*$"  # half of the day, zone
 _COLONS = r"(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{1,2})(?:[.,:](?P<f>\d{1,9})\d*)?)?"
@@ -40,8 +41,8 @@ _FORMS = (
     rf"^\s*{_NO_DATE}(?P<h>)(?P<m>\d{{1,3}}):(?P<s>\d{{2}})[.,](?P<f>\d{{1,9}})\d*(?P<p>)(?P<z>)\s*$",
     rf"^\s*{_NO_DATE}(?P<h>\d{{2}})(?P<m>\d{{2}})(?P<s>\d{{2}})(?:\.(?P<f>\d{{1,9}})\d*)?(?P<p>)(?P<z>)\s*$",
 )
-"""A date with the year first or last, before a time of day; both without separators; minutes and seconds; and a time of day without
-separators, as in NMEA sentences."""
+"""Accepted forms of a time: a date before a time of day, with the year first or last; both without separators; minutes and seconds;
+a time of day without separators, as in NMEA sentences."""
 
 
 class NoTimesError(InstrumentError):

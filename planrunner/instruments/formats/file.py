@@ -279,7 +279,7 @@ class FormatFile(ABC, Generic[Keys]):
 
 
 AnyFile = FormatFile[Record]
-"""A file of any format."""
+"""A file in any supported format."""
 
 
 @dataclass(frozen=True, slots=True)

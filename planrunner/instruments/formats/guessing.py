@@ -27,7 +27,7 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.units import STANDARD_GRAVITY
 
 MOST_COLUMNS = 200
-"""Columns that are looked at."""
+"""Maximum number of columns that are examined."""
 _NUMBER = re.compile(r"[+-]?(\d{1,3}(?:,\d{3})+\.\d*|\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|inf|", re.IGNORECASE)
 _TIME = re.compile(
     r"(?:^|[^a-z])(t|time|timestamp|stamp|clock|epoch?|seconds|ticks?|zeit|sekunden|utc|sow|tow)(?:[^a-z]|$)|timestamp|time",
@@ -53,7 +53,7 @@ _OF_TEMPERATURE = (
     (re.compile(r"[^a-z]f[^a-z]*$", re.IGNORECASE), "degF"),
     (re.compile(r"[^a-z]k[^a-z]*$", re.IGNORECASE), "K"),
 )
-"""Units that a single letter at the end of a name states, if the name is one of a temperature."""
+"""Temperature units that a single letter at the end of a name states. They are used only if the name denotes a temperature."""
 _SENSED_IN = {
     **dict.fromkeys(("rad/s", "mrad/s", "deg/s", "mdeg/s", "deg/h"), "gyro"),
     **dict.fromkeys(("m/s^2", "mg", "ug"), "accel"),
@@ -67,13 +67,13 @@ _TIME_UNITS = (
 )
 _COUNTERS = ((re.compile(r"SampleTimeFine"), 10_000.0),)  # Xsens MT Low-Level Communication Protocol: counts per second
 _WRAPS = (2.0**16, 2.0**24, 2.0**32, DAY, 1e3 * DAY, 7 * DAY, 7e3 * DAY)
-"""Values at which counters return to zero. Seconds and milliseconds of a day or of a GPS week do so, too."""
+"""Values at which counters return to zero, including the seconds and milliseconds of a day and of a GPS week."""
 _EPOCH = (0.94e9, 4.1e9)
-"""Seconds since 1970 in the years 2000 to 2099."""
+"""Range of the seconds since 1970 in the years 2000 to 2099."""
 _DAYS = ((36_000.0, 73_000.0), (730_000.0, 767_000.0))
-"""Days since 1900 (Excel) and since the year 0 (MATLAB) in the years 2000 to 2099."""
+"""Ranges of the days since 1900 (Excel) and since the year 0 (MATLAB) in the years 2000 to 2099."""
 LONGEST_STEP = 5.0
-"""Median steps in one step across the return of a counter to zero."""
+"""Longest step across the return of a counter to zero, in units of the median step."""
 _STATED_RATE = re.compile(r"(?:rate|frequency)\D{0,12}?(\d+(?:[.,]\d+)?)\s*(k?)Hz", re.IGNORECASE)
 _OTHER_RATE = re.compile(
     r"cut-?off|filter|low-?pass|band-?width|gnss|gps|magn|(?:^|[^a-z])mag(?:[^a-z]|$)", re.IGNORECASE
@@ -81,12 +81,12 @@ _OTHER_RATE = re.compile(
 _OF_SAMPLES = re.compile(r"sampl|output data rate|(?:^|[^a-z])odr(?:[^a-z]|$)", re.IGNORECASE)
 _SAME_RATE = 0.05
 _NEAR_RATE = 5.0
-"""Factor between a stated rate and the rate in a unit of time. Within it, the unit is assumed, although it contradicts the statement;
-beyond it, the column is taken for a counter of unknown frequency."""
+"""Largest ratio between the stated sample rate and the rate that follows from a unit of time. Up to this ratio, the unit is assumed
+although it contradicts the stated rate. Beyond it, the column counts as a counter of unknown frequency."""
 _LONGEST_LINE = 60
 GRAVITY_ALIKE = 0.12
-"""Log of the length of a vector over the length of gravity, below which both count as the same: the scale of a sensor without calibration
-is off by a few per cent."""
+"""Largest logarithm of the ratio between the length of a vector and gravity at which the two count as equal. The scale of an
+uncalibrated sensor is wrong by a few per cent."""
 _GRAVITY_NAMED = 0.29  # the same for accelerometers known by name, in m/s^2 and g: no raw counts have such small values
 _SENSED = (
     ("temperature", re.compile(r"temp(?!l)|celsius|fahrenheit|kelvin", re.IGNORECASE)),
@@ -108,13 +108,13 @@ _INTEGRATED = {
     "gyro": ((re.compile(r"(?:^|[^a-z])rad", re.IGNORECASE), "rad/s"), (re.compile(r"deg|°", re.IGNORECASE), "deg/s")),
     "accel": ((re.compile(r"m/s|mps", re.IGNORECASE), "m/s^2"),),
 }
-"""The unit of a sensor whose increments have the unit in the name."""
+"""For increments: the unit of the sensor that corresponds to a unit in the column's name."""
 _NO_SAMPLE = re.compile(
     r"(?<!real)(?<!real[_ -])(?<!run)time|covar|varian|std|sigma|clip|(?:^|[^a-z])dt(?:[^a-z]|$)|(?<![a-z])abs|(?-i:Abs)|norm|magnitude"
     r"|resultant|status|valid(?!ation)",
     re.IGNORECASE,
 )
-"""Names of columns that belong to a sensor, but are not one of its outputs."""
+"""Names of columns that belong to a sensor but do not contain an output."""
 _AXIS = re.compile(r"(?:^|[^a-z])(?:[agfw]|acc\w*?|gyr\w*?)?_?([xyz])(?:[^a-z]|$)", re.IGNORECASE)
 _CAPITAL = re.compile(r"[a-z]([XYZ])(?![a-z])")
 _MATRIX = re.compile(r"\[([0123])\]$")
@@ -207,7 +207,7 @@ _REFUSED = (
     ("a table in JSON", b"[{", "write it as CSV, one line for each sample"),
     ("a list of JSON objects", b'{"', "write it as CSV, one line for each sample"),
 )
-"""Files that are recognised but not read: what they are, how they begin, and what to do."""
+"""Files that are recognised but not read. Each entry states the kind of file, how the file begins, and what the user can do."""
 
 
 def guessed_format(path: Path, name: str) -> Format | None:
@@ -551,7 +551,7 @@ def _between_samples(first: Mapping[str, Array], steps: Array) -> Array:
 _SCALES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _ALL_SCALES = {**_SCALES, "days": DAY, "date_time": 1.0, "time_of_day": 1.0}
 _USUAL_RATES = (1.9, 50_000.0)
-"""Hz."""
+"""Usual sample rates, Hz."""
 
 
 def _time_of(

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
 MAX_DIRECTORY = 16_000_000
-"""Bytes of the directory at the end of the file."""
+"""Maximum size in bytes of the directory at the end of the file."""
 MAX_CHUNK = 600_000_000
-"""Bytes, unpacked, of a column in one row group; the largest that common writers make holds 2^26 numbers."""
+"""Maximum uncompressed size in bytes of a column in one row group. The largest row group of common writers has 2^26 numbers."""
 _END = struct.Struct("<I4s")
 
 

@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     from pyarrow import csv as arrow_csv
 
 MAX_HEADER = 65_536
-"""Bytes of the first line."""
+"""Maximum length of the first line in bytes."""
 BLOCK = 1 << 22
-"""Bytes that are parsed at once; no row may be longer."""
+"""Number of bytes that are parsed together. No row may be longer."""
 SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|", "blanks": "\t"}
-"""By their words in bench files; any number of blanks become one tab before the text is parsed."""
+"""Separators, by their names in bench files. Before the text is parsed, each sequence of blanks is replaced by one tab."""
 DECIMALS = {"point": ".", "comma": ","}
 MOST_COUNTED = 1_000_000
-"""Largest number of a row whose line is counted for a message."""
+"""Largest row number for which a message states the line. For later rows, the lines are not counted."""
 MOST_WRONG = 0.1
-"""Share of lines with a wrong number of columns from which the separator must be wrong."""
+"""Fraction of lines with a wrong number of columns. At and above it, the separator counts as wrong."""
 _MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:[,.' ’]\d{3})+(?:[.,]\d*)?")
 _BLANKS = re.compile(rb"[ \t]+")

@@ -31,9 +31,9 @@ LENGTHS = {"A": 36, "B": 40, "C": 38}
 LAST = {"A": 0x55, "B": 0x56, "C": 0x57}
 AXES = ("x", "y", "z")
 SETTLE = 0.5
-"""Seconds in which a change of configuration takes effect; about two invalid frames arrive during this time."""
+"""Time until a change of configuration takes effect, s. During this time, about two invalid frames arrive."""
 PATIENCE = 1.0
-"""Maximum seconds until the result of the built-in test arrives."""
+"""Maximum time until the result of the built-in test arrives, s."""
 BIT_SYNC, BIT_LENGTH = bytes.fromhex("fe8100aa"), 11
 
 

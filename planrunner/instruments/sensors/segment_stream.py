@@ -17,7 +17,8 @@ from planrunner.instruments.wire.host_clock import HostClock, Unwrapping
 from planrunner.instruments.wire.serial_stream import Ring
 
 FIRST = 0.25
-"""Seconds of frames before the first are stamped: the least delayed frame determines their times."""
+"""Time [s] for which frames are collected before the first frames get time stamps. The frame with the smallest delay determines
+these time stamps."""
 
 
 class Arriving(Protocol):

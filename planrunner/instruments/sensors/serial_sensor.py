@@ -34,7 +34,7 @@ TOLERANCE = math.log(1.4)
 ENOUGH = 20
 """Minimum number of frames for a check of the rate."""
 BACKLOG = 0.1
-"""Seconds during which frames from buffers may arrive."""
+"""Time during which frames from buffers may arrive, s."""
 
 
 class FirstFrames:
@@ -98,11 +98,11 @@ class FirstFrames:
 
 
 POLL = 0.05
-"""Seconds between blocks, and therefore the longest delay of a stop."""
+"""Time between two blocks, s. It is also the longest delay of a stop."""
 LISTENING = 0.5
-"""Seconds of frames for the check of the rate when connecting."""
+"""Duration of the frames that are used to check the rate after connecting, s."""
 LISTENINGS = 3
-"""Number of consecutive checks that must find a different rate before it is reported."""
+"""Number of consecutive checks that must find a wrong rate before an error is reported."""
 SKEW_TOLERANCE = 0.02
 
 P = TypeVar("P", bound=SerialSensorParameters)

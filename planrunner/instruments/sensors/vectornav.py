@@ -46,14 +46,14 @@ FIELDS: Mapping[str, tuple[int, Mapping[str, str]]] = {
     "imu": (9, _axes("accel", "m/s^2") | _axes("gyro", "rad/s")),
     "mag_pres": (10, _axes("magnetometer", "1") | {"sensor_temperature": "degC", "pressure": "kPa"}),
 }
-"""Field of the common group → its bit and its contents in order; time since start-up is the counter."""
+"""For each field of the common group: its bit, and its contents in order. The time since start-up serves as the counter."""
 LINES: Mapping[str, Mapping[str, str]] = {
     "VNYMR": YAW_PITCH_ROLL | _axes("magnetometer", "1") | _axes("accel", "m/s^2") | _axes("gyro", "rad/s"),
     "VNYPR": YAW_PITCH_ROLL,
     "VNACC": _axes("accel", "m/s^2"),
     "VNGYR": _axes("gyro", "rad/s"),
 }
-"""Lines of text and the numbers in them."""
+"""For each line of text: its values in order, with their units."""
 
 
 class VectorNavParameters(SerialSensorParameters):

@@ -45,7 +45,8 @@ CHANNELS = {
     "temperature": {"sensor_temperature": "degC"},
 }
 NUMBERS = {0: (4, FLOAT, 1.0), 1: (4, SIGNED, 2.0**-20), 2: (6, FRACTION_FIRST, 1.0), 3: (8, FLOAT, 1.0)}
-"""Low bits of an identifier → width, kind, scale: single, 12.20, 16.32, double."""
+"""Number formats, by the low bits of an identifier: single precision, fixed point 12.20, fixed point 16.32, double precision. Each
+entry states the width, the kind and the scale."""
 CLIPPED = {
     8 + place: f"{name} {axis} clipped"
     for place, (name, axis) in enumerate((n, a) for n in ("accel", "gyro") for a in "xyz")

@@ -34,7 +34,7 @@ from planrunner.instruments.wire.replies import identification, number, numbers,
 
 HEADER = 8
 QUIET = 0.1
-"""Silence, s, after which the first reply is complete."""
+"""Time without data after which the first reply counts as complete, s."""
 
 Header = Callable[[bytes], tuple[int, int]]
 
@@ -109,9 +109,9 @@ PACE = {"GPIB": 0.04, "TCPIP": 0.002}
 INTERLOCK, PROCESSOR, SUPERVISOR, REFUSED = 1, 2, 4, 8
 """Bits of the status byte."""
 SERVICES = ("pos", "rate", "synt")
-"""The modes with separate limits."""
+"""Modes that have separate limits."""
 TRIP = 1.1
-"""The over-rate trip, as a multiple of the highest rate."""
+"""Rate at which the over-rate protection trips, as a multiple of the highest rate."""
 MODES = {"p": "pos", "r": "rate", "s": "synt"}
 
 

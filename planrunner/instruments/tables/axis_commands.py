@@ -44,7 +44,7 @@ class AxisCommands(Commands, Protocol):
     Every failure is an `InstrumentError`."""
 
     rocks: bool
-    """Whether the controller has a sine motion."""
+    """True if the controller supports a sine motion."""
 
     def limit(self, axis: int, bounds: AxisBounds) -> Sequence[str]:
         """Sets the limits that the axis enforces by itself; returns one line of text for each limit that was set."""

@@ -32,7 +32,7 @@ from planrunner.physics.table_motion import Excess, SpinCourse, cycle_excess, ro
 from planrunner.plan.schedule import Cycle, Motion, RecordedMotion, Rest, Rock, Segment, Spin
 
 STOPPED = math.radians(0.1)
-"""rad/s below which an axis may be switched off."""
+"""Rate below which an axis may be switched off, rad/s."""
 POLL = 0.05
 """Time between two queries of a table that is being stopped, s."""
 

@@ -22,19 +22,19 @@ from planrunner.instruments.interfaces import InstrumentError
 Whole = NDArray[np.int64]
 
 WINDOW = 1.0
-"""Length of a window in seconds, of which the least delayed reading is kept …"""
+"""Length of a window, s. From each window, the reading with the smallest delay is kept."""
 MEMORY = 600
-"""… and number of windows kept: the clock of a crystal is linear over some minutes."""
+"""Number of stored windows. Over some minutes, a crystal clock is linear."""
 SKEW_AFTER = 20.0
-"""Minimum seconds of readings for an estimate of the skew."""
+"""Minimum duration of the readings for an estimate of the clock skew, s."""
 SLEW = 0.01
-"""Time stamps follow a line that moves by at most this fraction of the elapsed time."""
+"""Largest change of the line that time stamps follow, as a fraction of the elapsed time."""
 PATIENCE = 0.5
-"""Seconds of readings after a silence that show whether the computer slept or frames were lost."""
+"""Duration of the readings after an interruption [s] that show whether the computer slept or frames were lost."""
 BACKWARDS = 16
 """Number of frames by which a counter may step back if frames arrive out of order; at most an eighth of its range."""
 FORESTALLED = 1.0
-"""If a frame seems to be read this many seconds before it was sent, its counter was reset."""
+"""If a frame appears to have been read more than this time [s] before it was sent, its counter was reset."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +64,8 @@ class Unwrapping:
 
     counter: FrameCounter
     haste: float = 1.0
-    """Seconds of the readings' clock per second of real time: not 1 for an accelerated simulated sensor, whereas delays of the computer
-    follow real time."""
+    """Seconds of the readings' clock per second of real time. It differs from 1 for an accelerated simulated sensor. Delays of the
+    computer always follow real time."""
     _raw: int = 0
     _index: int = 0
     _received: float = math.nan

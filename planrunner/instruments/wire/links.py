@@ -26,11 +26,11 @@ from planrunner.plan.kinds import Number, QuantityOf, Record, Text, key, optiona
 from planrunner.plan.quantity import Quantity, parse_quantity
 
 LONGEST = 4096
-"""Maximum size of a reply in bytes; anything longer is invalid."""
+"""Maximum size of a reply in bytes. A longer reply is invalid."""
 GLANCE = 0.001
-"""Seconds of waiting for unread data."""
+"""Time to wait for unread data, s."""
 QUIET = 0.02
-"""Seconds without a byte after which unread data are assumed to be complete."""
+"""Time without a byte after which unread data are assumed to be complete, s."""
 
 MOST_REMARKS = 100
 """Maximum number of remarks kept between queries."""
@@ -108,7 +108,7 @@ class Incoming:
     resource: Wire
     deadline: float
     whole: bool
-    """Whether the bus marks the end of a message (GPIB, USB), so that a message is read at once."""
+    """True if the bus marks the end of a message (GPIB, USB), so that a message can be read in one call."""
     got: bytearray = field(default_factory=bytearray)
 
     def until(self, end: bytes) -> bytes:

@@ -17,11 +17,12 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.wire.framing import Piece
 
 CAPACITY = 8 * 2**20
-"""Size of the buffer in bytes: a minute of the fastest sensor."""
+"""Size of the buffer in bytes. It can store the data of the fastest sensor for one minute."""
 NEWEST = 2**16
-"""Bytes kept without a consumer."""
+"""Number of bytes that are kept if nobody reads the buffer."""
 PAUSE = 0.004
-"""Seconds between reads: long enough to be cheap, short compared with the buffer of the operating system (4 kB at 1.8 Mbit/s: 22 ms)."""
+"""Time between two reads, s. It is long enough to need little computing time. It is short compared with the time in which the
+buffer of the operating system fills up (22 ms for 4 kB at 1.8 Mbit/s)."""
 TIMEOUT = 0.05
 MOST = 2**16
 

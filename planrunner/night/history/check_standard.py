@@ -55,7 +55,7 @@ class ControlStanding(Enum):
     NOT_ESTABLISHED = "not established"
     """There is no reference value, and there are too few values for limits."""
     NOT_DETERMINED = "not determined"
-    """A damaged run in the archive is, or may be, a newer run of the check standard."""
+    """The archive contains a damaged run that is, or may be, a newer run of the check standard."""
 
 
 class ControlTest(Enum):

@@ -27,11 +27,12 @@ D2 = 2 / math.sqrt(math.pi)
 SHEWHART = 3.0
 """Half-width of the limits of a Shewhart chart in σ."""
 LAMBDA, EWMA_WIDTH = 0.2, 2.962
-"""Weight of the newest value, and half-width of the limits in σ of the average: 500 values on average to a false alarm."""
+"""Weight of the newest value in the EWMA chart, and half-width of its limits in standard deviations of the average. On average, a
+false alarm occurs after 500 values."""
 ALLOWANCE, DECISION = 0.5, 5.0
-"""k and h of the CUSUM chart in σ, for a shift of 1 σ: 465 values on average to a false alarm."""
+"""Parameters k and h of the CUSUM chart in σ, for a shift of 1 σ. On average, a false alarm occurs after 465 values."""
 BASELINE = 20
-"""Number of values from which mean and τ are taken, if there are more."""
+"""Maximum number of values from which the mean and τ are computed."""
 
 
 @dataclass(frozen=True, slots=True)

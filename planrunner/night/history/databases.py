@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 SqlValue = str | int | float | None
 SqlRow = tuple[SqlValue, ...]
 INDEX = "PLANRUNNER_INDEX"
-"""Environment variable with the file or URL of the index, where no option gives it."""
+"""Environment variable that contains the file or URL of the index. It is used if no option states the index."""
 _WAIT = 60.0
 """Longest time [s] to wait for another writer."""
 _CONNECT = 10
@@ -37,13 +37,13 @@ class Database(Protocol):
     """An open database. Parameters in statements are written as `?`."""
 
     name: str
-    """For messages; without a password."""
+    """Name of the database for messages, without a password."""
 
     identity: str
-    """SQL type of a number that the database assigns to new rows."""
+    """SQL type of the numbers that the database assigns to new rows."""
 
     clustered: str
-    """End of a table whose rows are stored in the order of the primary key."""
+    """Text at the end of the definition of a table whose rows are stored in the order of the primary key."""
 
     def query(self, statement: str, values: Sequence[SqlValue] = ()) -> list[SqlRow]: ...
 
@@ -224,7 +224,7 @@ class Postgres:
 
 
 _LOCK = int.from_bytes(b"planrunr", "big") >> 1
-"""Key of the lock that makes writers wait for one another."""
+"""Key of the lock that lets only one process write at a time."""
 
 
 def _marked(statement: str) -> bytes:

@@ -28,12 +28,12 @@ from planrunner.base.dataclass import dataclass
 COVERAGE = 2.0
 """Coverage factor k of expanded uncertainties, about 95 %."""
 HORIZON = 3653.0
-"""Longest interval [days] that is given; what lies beyond it is beyond the experience of the fit."""
+"""Longest interval [days] that is recommended. The data of the fit do not support a longer one."""
 LEAST = 3
-"""Values that a drift needs."""
+"""Smallest number of values for the estimate of a drift."""
 LEAST_SPAN = 1.0
-"""Days that the values of a drift must cover. Within a shorter time, the values show warm-up and noise, not the aging of the device; and
-the next calibration is a date."""
+"""Shortest time [days] that the values of a drift must cover. Within a shorter time, the values show warm-up and noise, not the
+aging of the device. The date of the next calibration is also stated in whole days."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,9 +45,9 @@ from planrunner.plan.parameters import variant_name
 _Row = TypeVar("_Row", CoefficientRow, LimitRow)
 
 FORMAT = 2
-"""Version of the tables; an index of another version is made again."""
+"""Version of the tables. An index with another version is created again."""
 _BATCH = 500
-"""Runs that are read before they are written together."""
+"""Number of runs that are read before they are written together."""
 _TABLES = ("faults", "limits", "coefficients", "runs", "formats")
 _RUN = (
     "folder, run, created, plan, title, device, bench, laboratory, operator, origin, state, verdict, analysis, warnings, "

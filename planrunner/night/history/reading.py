@@ -39,7 +39,8 @@ OPERATOR, FIRMWARE = "operator", "firmware"
 MOUNTING = ("mounting", "fixture")
 _READ = (RUN, PLAN, BENCH, JOURNAL, seals.NAME, stored.FOLDER)
 _SETTLED = 3.0
-"""Age [s] from which two changes of an entry have different times on every common file system; the coarsest has 2 s."""
+"""Age [s] of a change after which a further change certainly has a different time. The coarsest common file system has a resolution
+of 2 s."""
 _MOST_TEXT = 2000
 
 
