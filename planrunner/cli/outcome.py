@@ -14,7 +14,7 @@ from planrunner.cli.printing import print_findings, print_json, print_line
 
 if TYPE_CHECKING:
     from planrunner.estimators.analysis import Results
-    from planrunner.execution.outcome import Outcome
+    from planrunner.execution.executor import Outcome
     from planrunner.reporting.verdict import Headline
     from planrunner.tasks.run import Analysis
 

@@ -9,21 +9,20 @@ is rejected and repeated, as often as the plan allows. After any failure, the be
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Literal
 
 from planrunner.archive.journal import finite
 from planrunner.archive.recording import IN_MODE
 from planrunner.archive.run_folder import RunWriter
 from planrunner.base.documents import JsonObject
+from planrunner.base.findings import Finding
 from planrunner.execution.connected_bench import ConnectedBench
-from planrunner.execution.continuity import Continuity
 from planrunner.execution.live import LiveReport
 from planrunner.execution.lookout import EVERY, Lookout, StoppedAtOnceError
 from planrunner.execution.operator import Boundary, Operator
-from planrunner.execution.outcome import Failure, Outcome
 from planrunner.execution.progress import Meter, ProgressCallback, seconds_behind, with_lengths
-from planrunner.execution.reaching import Holding, LimitPassedError, Patience, Reaching
+from planrunner.execution.reaching import Continuity, Holding, LimitPassedError, Patience, Reaching
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import (
     Closes,
@@ -38,6 +37,58 @@ from planrunner.instruments.interfaces import (
 from planrunner.plan.schedule import Schedule, Segment
 
 SAFE_ATTEMPTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """A failure of a run.
+
+    `where`: what the executor was doing. `kind`: the class of the exception. `message`: text for a quality engineer.
+    """
+
+    where: str
+    kind: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.message}"
+
+    @classmethod
+    def of(cls, error: BaseException, where: str) -> Failure:
+        kind = type(error).__name__
+        if isinstance(error, InstrumentError):
+            message = str(error)
+        elif isinstance(error, OSError) and error.strerror:
+            message = f"{error.strerror}{f' ({error.filename})' if error.filename else ''}"
+        else:
+            message = f"{kind}: {error}" if str(error) else kind
+        return cls(where, kind, message)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The outcome of executing a schedule.
+
+    `completed`: number of segments acknowledged in this execution. `segments`: number of segments in the schedule. `stopped`: how
+    the operator stopped the run; None if the operator did not stop it. `unsafe`: failures in making instruments safe. `untouched`:
+    instruments that were never commanded, and are therefore left as they were. `finished`: True if every segment is acknowledged
+    and the folder is sealed. `remarks`: information that the user needs even if the run is complete. `unsigned`: the reason why the
+    bench did not sign the seal although it should have.
+    """
+
+    completed: int
+    segments: int
+    finished: bool
+    stopped: Literal["after the segment", "at once"] | None = None
+    failures: tuple[Failure, ...] = ()
+    unsafe: tuple[str, ...] = ()
+    untouched: tuple[str, ...] = ()
+    remarks: tuple[Finding, ...] = ()
+    unsigned: tuple[Finding, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        return self.finished and not self.failures and not self.unsafe
 
 
 def execute(

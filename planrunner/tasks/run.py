@@ -33,9 +33,8 @@ from planrunner.bench.opening import NotSafeError, OpenBench, guarded_bench
 from planrunner.bench.replacing import REACHED_BY, addresses, other_than_reached
 from planrunner.estimators.analysis import Results, analyse
 from planrunner.estimators.results import NAME, comparable
-from planrunner.execution.executor import execute
+from planrunner.execution.executor import Outcome, execute
 from planrunner.execution.operator import Operator
-from planrunner.execution.outcome import Outcome
 from planrunner.execution.progress import ProgressCallback
 from planrunner.execution.stopping import StopRequest
 from planrunner.instruments.interfaces import Foresees, InstrumentError, PlaysBack, UnservedError

@@ -12,8 +12,7 @@ from fake_bench import DOWN, Bench, make_bench, mixed_schedule, segment
 
 from planrunner.archive.run_folder import RunWriter
 from planrunner.archive.run_reader import RunReader
-from planrunner.execution.executor import execute
-from planrunner.execution.outcome import Outcome
+from planrunner.execution.executor import Outcome, execute
 from planrunner.execution.progress import Advanced, SegmentBegun, SegmentFinished
 from planrunner.execution.reaching import Patience
 from planrunner.execution.stopping import StopRequest
