@@ -1,1 +1,2 @@
-"""Benchmarks: ratios to a peer or to the limit, side by side in one run. `python -m benchmarks` runs them all."""
+"""Benchmarks. Each one compares planrunner with another program or with a lower limit of the time, both measured in the same run.
+`python -m benchmarks` runs all of them."""

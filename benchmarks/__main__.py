@@ -1,7 +1,8 @@
-"""`python -m benchmarks [NAME…]`: runs the benchmarks, each in a process of its own, and prints their tables.
+"""Runs the benchmarks, each in a separate process, and prints their tables: `python -m benchmarks [NAME…]`.
 
-`--write` keeps the figures in benchmarks/README.md with commit and date, one by one, so that none is lost when another fails or the run is
-interrupted. `--list` shows which figures are kept, from which commit, and how long each took.
+`--write` writes the figures with commit and date to benchmarks/README.md. The figures are written after each benchmark, so they are
+not lost if a later benchmark fails or the run is interrupted. `--list` lists the stored figures, the commit from which they come,
+and the duration of each benchmark.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ BUSY = 0.3  # running processes beside ours, above which times are not to be tru
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """What the file says of a benchmark: seconds it took, and commit and date, empty where they are not stated."""
+    """Information about a benchmark in the file: its duration in seconds, the commit and the date. Commit and date are empty if the
+    file does not state them."""
 
     seconds: int
     commit: str
@@ -84,7 +86,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def run(names: list[str], keep_in: Path | None) -> int:
-    """Runs them one after the other; returns 1 when one failed. Each is kept as soon as it is done."""
+    """Runs the benchmarks one after the other. Returns 1 if a benchmark failed. The figures of each benchmark are written as soon
+    as it ends."""
     origin, failed, began = commit(), {}, time.monotonic()
     for name in names:
         say(f"running {name} …")
@@ -114,7 +117,7 @@ def say(text: str) -> None:
 
 
 def load() -> float:
-    """Processes that ran or waited in the last minute; NaN where the system does not count them."""
+    """Returns the mean number of processes that ran or waited in the last minute; NaN if the system does not count them."""
     return os.getloadavg()[0] if hasattr(os, "getloadavg") else math.nan
 
 
@@ -126,7 +129,8 @@ def machine(busy: float) -> str:
 
 
 def commit() -> str:
-    """The commit of the working tree, `-dirty` when files beside the kept figures differ from it; 'unknown' outside a repository."""
+    """Returns the commit of the working tree, or 'unknown' outside a repository. If files other than the stored figures differ from
+    the commit, `-dirty` is appended."""
 
     def git(*words: str) -> str:
         return subprocess.run(
@@ -143,7 +147,7 @@ def commit() -> str:
 
 
 def table(name: str, rows: Mapping[str, Any], end: str) -> str:
-    """One benchmark as Markdown: what was measured and the figure."""
+    """Returns the table of one benchmark as Markdown: the measured quantities and their figures."""
     doc = (import_module(f"benchmarks.{name}").__doc__ or "").strip().splitlines()[0]
     lines = [f"### {name}", "", doc, "", "| what | figure |", "| --- | ---: |"]
     for what, figure in rows.items():
@@ -152,13 +156,14 @@ def table(name: str, rows: Mapping[str, Any], end: str) -> str:
 
 
 def sections(text: str) -> dict[str, str]:
-    """The kept tables of the file's text, by benchmark."""
+    """Returns the stored tables in the text of the file, by the name of the benchmark."""
     figures = text.partition(START)[2].partition(END)[0]
     return {part.split("\n", 1)[0]: f"### {part}".rstrip() for part in figures.split("### ")[1:]}
 
 
 def with_section(text: str, name: str, section: str) -> str:
-    """The file's text with one table replaced or added; tables stand in the order of NAMES, the others as they were."""
+    """Returns the text of the file after one table has been replaced or added. The tables have the order of NAMES. The other tables
+    are unchanged."""
     before, _, rest = text.partition(START)
     found = sections(text) | {name: section}
     figures = "\n\n".join(found[name] for name in NAMES if name in found)
@@ -166,7 +171,7 @@ def with_section(text: str, name: str, section: str) -> str:
 
 
 def kept_figures(text: str) -> dict[str, Kept]:
-    """What the file's text says of each benchmark whose figures it holds."""
+    """Returns the information about each benchmark whose figures the text of the file contains."""
     found = {name: TOOK.search(section) for name, section in sections(text).items()}
     return {name: Kept(int(line[1]), line[2] or "", line[3] or "") for name, line in found.items() if line}
 

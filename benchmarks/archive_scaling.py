@@ -1,7 +1,7 @@
 """Measures processor time and memory of commands for archives with more and more runs, and for runs with more and more segments.
 
-docs/scaling.md uses the slopes. Each command runs in a separate process and computes in this process only. A slope is that of the
-least-squares line over the sizes.
+docs/scaling.md uses the slopes. Each command runs in a separate process and computes in this process only. Each slope belongs to
+the least-squares line over the sizes.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from benchmarks.measuring import Figures, figures_of, peak_memory
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """runs: of the archives, each of 10 segments; segments: of the single runs."""
+    """Sizes that are measured. runs: numbers of runs in the archives, each with 10 segments. segments: numbers of segments in the
+    single runs."""
 
     runs: tuple[int, ...]
     segments: tuple[int, ...]
@@ -48,13 +49,17 @@ def run(size: Size = FULL) -> Figures:
 
 
 def slopes(name: str, one: str, sizes: tuple[int, ...], found: list[Figures]) -> Figures:
-    """The figures at each size, and what one more costs."""
+    """Returns the figures at each size, and the cost of one more run or segment."""
     rows: Figures = {}
     for number, figures in zip(sizes, found, strict=True):
         rows[f"{name}, {number} {one}s [s]"] = figures["seconds"]
         rows[f"{name}, {number} {one}s, peak memory [MB]"] = figures["memory"]
-    rows[f"{name}: one more {one} [ms]"] = 1e3 * float(np.polyfit(sizes, [one["seconds"] for one in found], 1)[0])
-    rows[f"{name}: one more {one} [kB]"] = 1e3 * float(np.polyfit(sizes, [one["memory"] for one in found], 1)[0])
+    rows[f"{name}: time per additional {one} [ms]"] = 1e3 * float(
+        np.polyfit(sizes, [one["seconds"] for one in found], 1)[0]
+    )
+    rows[f"{name}: memory per additional {one} [kB]"] = 1e3 * float(
+        np.polyfit(sizes, [one["memory"] for one in found], 1)[0]
+    )
     return rows
 
 
@@ -65,7 +70,7 @@ def _timed(work: Callable[[], object]) -> Figures:
 
 
 def _command(*words: str) -> Figures:
-    """A command as a user calls it, without what it prints."""
+    """Executes a command as a user calls it, but without its output."""
     import contextlib
     import io
 

@@ -21,7 +21,7 @@ from tests.night.synthetic_archive import filled
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Runs of the archive, and how often the page is opened."""
+    """Number of runs in the archive, and number of times that the page is opened."""
 
     runs: int
     visits: int
@@ -31,7 +31,8 @@ FULL, SMALL = Size(10_000, 7), Size(50, 1)
 
 
 def first_pages(page: Path, visits: int) -> list[float]:
-    """Seconds from the beginning of a navigation to the heading of the page, each in a new profile."""
+    """Returns the time from the start of each navigation to the heading of the page, s. Each navigation uses a new browser
+    profile."""
     from playwright.sync_api import sync_playwright
 
     found = []
@@ -65,7 +66,7 @@ def run(size: Size = FULL) -> Figures:
         bytes_ = sum(path.stat().st_size for path in (folder / "site").rglob("*") if path.is_file())
         figures: Figures = {
             f"site of {size.runs} runs from their index [s] (target ≤ 60)": seconds,
-            "its size [MB]": bytes_ / 1e6,
+            "size of the site [MB]": bytes_ / 1e6,
         }
         if CHROMIUM is not None:
             visits = first_pages(built.page, size.visits)

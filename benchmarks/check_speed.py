@@ -15,13 +15,14 @@ from benchmarks.measuring import ROOT, Figures, figures_of
 from planrunner.base.processes import processors
 
 COMPILED = {"PYTHONDONTWRITEBYTECODE": ""}
-"""Modules are compiled once, as in an installation, even where this environment keeps no compiled ones."""
+"""Environment in which modules are compiled once, as in an installation, even if the present environment does not store compiled
+modules."""
 PLAN = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
 
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """turns: processes of each kind, of which the fastest counts."""
+    """turns: number of processes of each kind. The fastest one counts."""
 
     plans: int
     turns: int
@@ -32,7 +33,7 @@ FULL, SMALL = Size(100, 7), Size(3, 1, separate=False)
 
 
 def distinct(count: int, folder: Path) -> list[Path]:
-    """Copies of the flagship plan that differ in title, dwell and temperature."""
+    """Writes copies of the flagship plan that differ in title, dwell and temperature."""
     text = PLAN.read_text(encoding="utf-8")
     paths = []
     for number in range(count):
@@ -56,11 +57,12 @@ OPTIONAL = [
     "webcolors",
 ]
 BARE = f"import sys; sys.modules.update(dict.fromkeys({OPTIONAL!r})); import yaml, jsonschema"
-"""jsonschema also imports these where other programs have installed them; planrunner has no need of them, and one takes seconds."""
+"""Program that imports yaml and jsonschema without the optional modules. jsonschema imports these modules if other programs have
+installed them. planrunner does not need them, and the import of one of them takes seconds."""
 
 
 def process(turns: int, *command: str) -> float:
-    """Best of some runs of a process, s."""
+    """Returns the shortest duration of several runs of a process, s."""
     times = []
     for _ in range(turns):
         began = time.perf_counter()
@@ -70,7 +72,8 @@ def process(turns: int, *command: str) -> float:
 
 
 def together(count: int) -> Figures:
-    """Distinct plans in this process, where they are the first: with the limits' predictions, and again with all."""
+    """Checks distinct plans in this process, before it has checked any other plan: first with the predictions for the limits, then
+    again with all predictions."""
     from planrunner.tasks.check import check_plan
 
     with tempfile.TemporaryDirectory() as folder:
@@ -96,8 +99,8 @@ def run(size: Size = FULL) -> Figures:
     imports = process(size.turns, sys.executable, "-c", BARE)
     return {
         f"{size.plans} distinct plans in one process [s] (target ≤ 0.5)": limits,
-        "the same again, with the predictions that no limit needs [s]": shown,
-        f"`planrunner check` of {size.plans} plans, whole command with imports and printing, --jobs 1 [s]": by_one,
+        "the same plans, with all predictions [s]": shown,
+        f"`planrunner check` of {size.plans} plans, whole command with imports and output, --jobs 1 [s]": by_one,
         f"the same, --jobs {processors()} (all processors) [s]": by_all,
         "`planrunner check` of one plan, whole process [s]": whole,
         '`python -c "import yaml, jsonschema"` [s]': imports,

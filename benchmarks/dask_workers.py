@@ -1,7 +1,7 @@
 """Estimates all runs of an archive on one and on two Dask workers. Each worker is a process on this machine.
 
-A cluster with one worker and a cluster with two take turns: the speed of a machine may change by the minute, and is then the same for
-both.
+Clusters with one and with two workers are measured alternately. The speed of a machine may change from minute to minute; alternate
+measurements are affected equally.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tests.dask_cluster import Cluster, dask_cluster
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """turns: of each cluster. dwell: of each of the ten segments of a run."""
+    """turns: number of measurements of each cluster. dwell: duration of each of the ten segments of a run."""
 
     runs: int
     turns: int
@@ -31,7 +31,7 @@ class Size:
 
 FULL, SMALL = Size(200, 5, "2 min"), Size(4, 1, "1 s")
 _IDLE = 5.0
-"""Seconds for which the processes of a cluster are watched while they have nothing to do."""
+"""Time for which the processes of a cluster without work are observed, s."""
 
 
 def run(size: Size = FULL) -> Figures:
@@ -56,12 +56,12 @@ def run(size: Size = FULL) -> Figures:
         "on one worker [runs/s]": size.runs / statistics.median(one.seconds for one, _ in pairs),
         "on two workers [runs/s]": size.runs / statistics.median(two.seconds for _, two in pairs),
         f"two workers / one, median of {size.turns} turns (target ≥ 1.8)": statistics.median(ratios),
-        "the lowest of the turns": ratios[0],
-        "the highest": ratios[-1],
-        "processor time of scheduler and command / of two workers": statistics.median(
+        "lowest ratio in a turn": ratios[0],
+        "highest ratio in a turn": ratios[-1],
+        "processor time of scheduler and command / processor time of two workers": statistics.median(
             two.handing_over for _, two in pairs
         ),
-        "processor time of a scheduler and two workers without work / of one processor": idle,
+        "processor time of a scheduler and two idle workers / elapsed time": idle,
         "peak memory of a worker [MB]": memory,
         "peak memory of the command [MB]": peak_memory(),
     }
@@ -69,21 +69,22 @@ def run(size: Size = FULL) -> Figures:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """seconds: of the turn. handing_over: processor time of the scheduler and of this process as a fraction of that of the workers."""
+    """One measurement. seconds: its duration. handing_over: processor time of the scheduler and of this process, divided by the
+    processor time of the workers."""
 
     seconds: float
     handing_over: float
 
 
 def _folder(parent: str, name: str) -> Path:
-    """A new one."""
+    """Makes a new folder."""
     folder = Path(parent) / name
     folder.mkdir()
     return folder
 
 
 def estimated(runs: list[Path], workers: Workers) -> float:
-    """Seconds. The results are not stored: storing is work of the command alone."""
+    """Returns the duration of the estimates, s. The results are not stored, because only the command itself stores results."""
     began = time.perf_counter()
     for _ in results_in_order(evaluate_run, runs, workers):
         pass
@@ -91,7 +92,7 @@ def estimated(runs: list[Path], workers: Workers) -> float:
 
 
 def warm_up(runs: list[Path], cluster: Cluster) -> None:
-    """Every worker computes something: its imports and compiled kernels are then there."""
+    """Lets every worker compute something, so that its modules are imported and its kernels compiled."""
     workers = Workers(1, cluster.address)
     while len(set(results_of(process, range(4 * len(cluster.workers)), workers))) < len(cluster.workers):
         time.sleep(0.1)
@@ -110,7 +111,7 @@ def turn(runs: list[Path], cluster: Cluster) -> Turn:
 
 
 def idle_time(cluster: Cluster) -> float:
-    """Returns the processor time that a cluster without work uses, as a fraction of that of one processor."""
+    """Returns the processor time that a cluster without work uses, divided by the elapsed time."""
     processes = [cluster.scheduler, *cluster.workers]
     before = sum(processor_time(one.pid) for one in processes)
     time.sleep(_IDLE)
@@ -123,7 +124,7 @@ def process(_: int) -> int:
 
 
 def processor_time(pid: int) -> float:
-    """Of another process so far [s]; 0 where the system does not tell."""
+    """Returns the processor time that another process has used so far, s; 0 if the system does not report it."""
     status = Path(f"/proc/{pid}/stat")
     if not status.exists():
         return 0.0
@@ -132,7 +133,7 @@ def processor_time(pid: int) -> float:
 
 
 def peak_of(pid: int) -> float:
-    """Largest resident size of another process [MB]; 0 where the system does not tell."""
+    """Returns the largest resident size of another process, MB; 0 if the system does not report it."""
     status = Path(f"/proc/{pid}/status")
     lines = status.read_text().splitlines() if status.exists() else []
     return next((int(line.split()[1]) / 1e3 for line in lines if line.startswith("VmHWM")), 0.0)

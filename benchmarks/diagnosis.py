@@ -24,7 +24,7 @@ FULL, SMALL = Size((25_000, 100_000, 400_000)), Size((2_000,), separate=False)
 
 
 def measure(samples: int) -> Figures:
-    """Seconds by the clock and of the processor of the second diagnosis, and the peak memory [MB]."""
+    """Returns the elapsed time [s] and the processor time [s] of the second diagnosis, and the peak memory [MB]."""
     from planrunner.gap.answer.diagnosis import diagnose
     from tests.gap.turntable import plan, record
 
@@ -37,7 +37,8 @@ def measure(samples: int) -> Figures:
 
 
 def measure_long(samples: int) -> Figures:
-    """A recording at 200 Hz whose rests last as long as it takes; its samples are drawn as they are read, so that they lie nowhere."""
+    """Measures the diagnosis of a recording at 200 Hz. The segments at rest are as long as the number of samples requires. The
+    samples are drawn while they are read, so they are never stored."""
     import numpy as np
 
     from planrunner.archive.recording import RecordedSegment
@@ -103,8 +104,8 @@ def run(size: Size = FULL) -> dict[str, object]:
         one_thread = {"OPENBLAS_NUM_THREADS": "1"}
         figures = figures_of(measure, samples, separate=size.separate, environment=one_thread)
         target = " (target ≤ 1)" if samples == 100_000 else ""
-        found[f"{samples} samples × 6 channels, wall [s]{target}"] = figures["wall"]
-        found[f"{samples} samples × 6 channels, processor [s]"] = figures["cpu"]
+        found[f"{samples} samples × 6 channels, elapsed time [s]{target}"] = figures["wall"]
+        found[f"{samples} samples × 6 channels, processor time [s]"] = figures["cpu"]
         found[f"{samples} samples × 6 channels, peak memory [MB]"] = figures["peak"]
     return found
 

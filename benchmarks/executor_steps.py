@@ -31,7 +31,8 @@ CHANNELS = {"x": "V", "y": "V", "z": "V"}
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Steps of the flushed runs, of the two whose memory is compared, of the durable ones in so many pairs, and of the peers."""
+    """Numbers of steps: of the flushed runs, of the two runs whose memory is compared, of the durable runs, and of the other
+    programs. Also the number of pairs of durable runs."""
 
     flushed: tuple[int, ...]
     memory: tuple[int, int]
@@ -45,7 +46,7 @@ SMALL = Size((20, 100), (20, 100), 5, 1, 20)
 
 
 class Axis:
-    """The least that can be set and read."""
+    """The simplest axis that can be set and read."""
 
     def __init__(self) -> None:
         self.position = 0.0
@@ -69,7 +70,7 @@ class Axis:
 
 
 class Probe:
-    """Gives the same short block for every segment."""
+    """A sensor that returns the same short block for every segment."""
 
     def __init__(self) -> None:
         self.time = np.arange(ROWS, dtype=float) * 0.01
@@ -98,10 +99,10 @@ class Bench:
         self.limits = OwnLimits()
 
     def sign_of_life(self) -> None:
-        """No watchdog listens."""
+        """Does nothing, because there is no watchdog."""
 
     def take_control(self, *names: str) -> None:
-        """All of it is made safe."""
+        """Does nothing, because the whole bench is always made safe."""
 
     @property
     def untouched(self) -> tuple[str, ...]:
@@ -116,7 +117,7 @@ def schedule(steps: int) -> Schedule:
 
 
 def planrunner_steps(folder: Path, steps: int, durability: Any, sensor: Any = None) -> float:
-    """Steps a second, the sealing included, the making of the folder not."""
+    """Returns the number of steps per second. The time includes the seal, but not the creation of the folder."""
     plan = schedule(steps)
     with RunWriter.create(folder, "steps", b"", b"", {}, durability) as writer:
         began = time.perf_counter()
@@ -127,7 +128,7 @@ def planrunner_steps(folder: Path, steps: int, durability: Any, sensor: Any = No
 
 
 def bare_durable_steps(folder: Path, steps: int) -> float:
-    """The same files, renames and fsyncs by hand: one Parquet file and one line of a journal a step, nothing else."""
+    """Performs only the same writes, renames and fsyncs: for each step, one Parquet file and one line of a journal."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -151,7 +152,7 @@ def bare_durable_steps(folder: Path, steps: int) -> float:
 
 
 def peak_growth(folder: Path, few: int, many: int) -> float:
-    """Bytes of peak memory a step between few and many steps, as Python's allocator counts them."""
+    """Returns the increase of the peak memory per additional step, in bytes, as Python's allocator counts it."""
     peaks = []
     for steps in (few, many):
         plan = schedule(steps)
@@ -164,7 +165,7 @@ def peak_growth(folder: Path, few: int, many: int) -> float:
 
 
 def openhtf_steps(folder: Path, steps: int) -> float:
-    """One phase a step with one measurement; the record written as JSON at the end."""
+    """Runs OpenHTF with one phase and one measurement for each step. The record is written as JSON at the end."""
     import openhtf as htf
     from openhtf.output.callbacks import json_factory
 
@@ -187,7 +188,7 @@ def openhtf_steps(folder: Path, steps: int) -> float:
 
 
 def bluesky_steps(folder: Path, steps: int) -> float:
-    """Set a soft positioner and read it at every step; documents written as JSON lines."""
+    """Runs bluesky: at every step, a soft positioner is set and read. The documents are written as JSON lines."""
     from bluesky import RunEngine
     from bluesky import plan_stubs as stubs
     from bluesky.preprocessors import run_decorator
@@ -214,7 +215,8 @@ def bluesky_steps(folder: Path, steps: int) -> float:
 
 
 def peer(name: str, measure: Callable[[Path, int], float], folder: Path, steps: int) -> dict[str, object]:
-    """A peer's steps a second, and how many times as many planrunner takes; or a word when it is not installed."""
+    """Returns the steps per second of another program, and the ratio of planrunner's speed to it. If the program is not installed,
+    returns a message instead."""
     try:
         theirs = max(measure(folder, steps) for _ in range(2))
     except ImportError as missing:
@@ -231,7 +233,7 @@ def run(size: Size = FULL) -> dict[str, object]:
         for steps in size.flushed:
             rates = [planrunner_steps(folder, steps, "flushed") for _ in range(3 if steps < 100_000 else 1)]
             figures[f"flushed, {steps} steps [steps/s] (target ≥ 10 000)"] = max(rates)
-        figures[f"peak memory a step, {size.memory[0]} to {size.memory[1]} steps [bytes]"] = peak_growth(
+        figures[f"peak memory per step, {size.memory[0]} to {size.memory[1]} steps [bytes]"] = peak_growth(
             folder, *size.memory
         )
         planrunner_steps(folder, 10, "durable", Probe())
@@ -240,7 +242,7 @@ def run(size: Size = FULL) -> dict[str, object]:
             bare = bare_durable_steps(folder / f"bare{round_}", size.durable)
             pairs.append((planrunner_steps(folder, size.durable, "durable", Probe()), bare))
         ratios = sorted(ours / bare for ours, bare in pairs)
-        figures["durable with a Parquet file a step [steps/s]"] = max(ours for ours, _ in pairs)
+        figures["durable, one Parquet file per step [steps/s]"] = max(ours for ours, _ in pairs)
         figures["bare loop with the same writes [steps/s]"] = max(bare for _, bare in pairs)
         figures[f"durable / bare loop, median of {size.pairs} pairs (target ≥ 0.5)"] = ratios[size.pairs // 2]
         figures |= peer("OpenHTF", openhtf_steps, folder, size.peers)

@@ -19,7 +19,8 @@ from benchmarks.measuring import Figures
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """archives: number of run folders of each archive that is rebuilt; runs, devices: of the index that is asked; turns: questions."""
+    """archives: number of run folders of each archive whose index is rebuilt. runs, devices: numbers of runs and devices in the
+    index that is queried. turns: number of queries."""
 
     archives: tuple[int, ...]
     runs: int
@@ -39,7 +40,7 @@ def run(size: Size = FULL) -> Figures:
 
 
 def rebuilt(number: int) -> Figures:
-    """With one process that reads."""
+    """Rebuilds the index. One process reads the runs."""
     from planrunner.base.workers import ALONE
     from planrunner.night.history.index import Index
 
@@ -56,14 +57,14 @@ def rebuilt(number: int) -> Figures:
             again = time.perf_counter() - began
     return {
         f"rebuilding the index of {number} runs [s]": took,
-        f"a run of {number} [ms]": 1000 * took / number,
-        f"processor time of a run of {number} [ms]": 1000 * used / number,
-        f"refreshing it without change ({number} runs) [s]": again,
+        f"time per run, {number} runs [ms]": 1000 * took / number,
+        f"processor time per run, {number} runs [ms]": 1000 * used / number,
+        f"refreshing the unchanged index of {number} runs [s]": again,
     }
 
 
 def fill(archive: Path, number: int) -> None:
-    """Archives of 1000 folders each, as of one night or month; all older than a day."""
+    """Fills the index with archives of 1000 folders each, as one night or month makes them. All folders are older than a day."""
     from tests.night.history.made_runs import MadeRun, make_run
 
     values = {f"c{k}": (float(k), 0.1) for k in range(8)}
@@ -109,8 +110,8 @@ def asked(size: Size) -> Figures:
                 assert len(index.runs(RunFilter(limit=50))) == 50
                 lists.append(time.perf_counter() - began)
     return {
-        f"a history of {size.runs // size.devices} values in an index of {size.runs} runs (target ≤ 20) [ms]": 1000
+        f"query of a history of {size.runs // size.devices} values in an index of {size.runs} runs (target ≤ 20) [ms]": 1000
         * median(histories),
-        "processor time of it [ms]": 1000 * median(processor),
-        "the newest 50 runs of it [ms]": 1000 * median(lists),
+        "processor time of this query [ms]": 1000 * median(processor),
+        "query of the newest 50 runs in this index [ms]": 1000 * median(lists),
     }

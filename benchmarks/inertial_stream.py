@@ -20,7 +20,7 @@ CHANNELS, BLOCK, RATE = 7, 100_000, 200.0
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Samples of a piece, and of the cycle that lasts for days."""
+    """Numbers of samples: of a short run, and of the cycle that lasts for days."""
 
     piece: int
     long: int
@@ -30,7 +30,7 @@ FULL, SMALL = Size(4_000_000, 72 * 3600 * 200), Size(100_000, 200_000)
 
 
 def stream(motion: Any, samples: int, carried: bool = False) -> float:
-    """Seconds to stream `samples` of the bench `virtual_imu`."""
+    """Returns the time to stream `samples` samples of the bench `virtual_imu`, s."""
     from planrunner.bench.model import read_bench
     from planrunner.bench.opening import open_bench
     from planrunner.instruments.virtual.imu import VirtualImu
@@ -82,7 +82,7 @@ def run(size: Size = FULL) -> dict[str, object]:
     def cost(seconds: float, samples: int) -> float:
         return seconds / samples / CHANNELS * 1e9
 
-    rows: dict[str, object] = {"numpy draws the noise [ns/sample/channel]": cost(noise, size.piece)}
+    rows: dict[str, object] = {"drawing the noise with numpy alone [ns/sample/channel]": cost(noise, size.piece)}
     for name, motion, carried in (
         ("standing", Rest(), False),
         ("four-position cycle", cycle, False),
@@ -94,5 +94,5 @@ def run(size: Size = FULL) -> dict[str, object]:
     seconds = stream(cycle, size.long)
     hours = size.long / RATE / 3600
     rows[f"{hours:.3g} h of the cycle, {counted(size.long)} samples [s]"] = seconds
-    rows[f"memory that these {hours:.3g} h need beyond the pieces [MB]"] = peak_memory() - before
+    rows[f"additional memory for {hours:.3g} h, compared with the short runs [MB]"] = peak_memory() - before
     return rows

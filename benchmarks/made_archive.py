@@ -1,4 +1,5 @@
-"""An archive for benchmarks: runs of one plan of a simulated gyro, with different random numbers; the rest are copies of them."""
+"""Makes an archive for benchmarks. Some runs execute one plan on a simulated gyro with different random numbers; the other runs are
+copies of these."""
 
 from __future__ import annotations
 
@@ -26,12 +27,12 @@ report: [summary.md]
 
 
 def plan(segments: int, dwell: str) -> Document:
-    """A plan of so many segments, in tens."""
+    """Returns a plan with this number of segments, a multiple of ten."""
     return Document(_PLAN.format(dwell=dwell, repeat=segments // 10).encode(), "scale_factor.yaml")
 
 
 def make_archive(archive: Path, runs: int, segments: int = 10, dwell: str = "30 s", analysed: bool = False) -> None:
-    """analysed: each run has an analysis, as in an archive that is indexed."""
+    """Makes the archive. analysed: True if each run has an analysis, as in an archive with an index."""
     sound = check_plan(plan(segments, dwell)).sound()
     originals = []
     for seed in range(min(ORIGINALS, runs)):

@@ -1,6 +1,8 @@
-"""What the benchmarks measure with: a function in a process of its own, the peak memory of a process, and counts as words.
+"""Tools of the benchmarks: they call a function in a separate process, measure the peak memory of a process, and write numbers in
+short form.
 
-`python -m benchmarks.measuring MODULE FUNCTION ARGUMENTS` is that process: it calls the function and prints its figures as JSON.
+The separate process is `python -m benchmarks.measuring MODULE FUNCTION ARGUMENTS`. It calls the function and prints the figures as
+JSON.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ Figures = dict[str, Any]
 
 
 class ProcessFailedError(Exception):
-    """A benchmark's process ended with an error; the text is what it wrote last."""
+    """The process of a benchmark ended with an error. The text of the exception is the last line of its output."""
 
 
 def figures_of(
@@ -29,9 +31,10 @@ def figures_of(
     separate: bool = True,
     environment: Mapping[str, str] | None = None,
 ) -> Figures:
-    """The figures of a function of a module, from a process of its own so that no other memory or thread counts.
+    """Returns the figures that a function of a module measures. The function runs in a separate process, so that the memory and the
+    threads of this process do not count.
 
-    separate: without it the function is called here, for trials at a small size. Raises `ProcessFailedError`.
+    separate: if False, the function is called in this process, for tests with a small size. Raises `ProcessFailedError`.
     """
     if not separate:
         return function(*arguments)
@@ -48,13 +51,13 @@ def figures_of(
 
 
 def measured(name: str) -> Figures:
-    """The figures of a benchmark at its full size, by what was measured."""
+    """Returns the figures of a benchmark at its full size, by the name of the measured quantity."""
     found: Figures = import_module(f"benchmarks.{name}").run()
     return found
 
 
 def peak_memory() -> float:
-    """Largest resident size of this process [MB]; NaN where the system has no measure of it."""
+    """Returns the largest resident size of this process, MB; NaN if the system does not measure it."""
     # Linux's `ru_maxrss` remembers the parent's size, so `VmHWM` is read there.
     status = Path("/proc/self/status")
     if status.exists():
@@ -68,7 +71,7 @@ def peak_memory() -> float:
 
 
 def counted(number: float) -> str:
-    """A count in words of figures: 100000000 → '10⁸', 4000000 → '4·10⁶', 400 → '400'."""
+    """Writes a number in short form: 100000000 → '10⁸', 4000000 → '4·10⁶', 400 → '400'."""
     if number < 10_000:
         return f"{number:g}"
     digits, _, exponent = f"{number:.3e}".partition("e")

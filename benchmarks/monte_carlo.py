@@ -63,6 +63,6 @@ def run(size: Size = FULL) -> dict[str, object]:
     whole = time.perf_counter() - began
     assert found.draws == size.draws
     return {
-        "draws of twelve coefficients and their outputs [s]": drawn,
-        "with the adaptive rule, intervals and the shortest intervals [s] (target ≤ 5)": whole,
+        "random draws of twelve coefficients and of the outputs [s]": drawn,
+        "draws with the adaptive rule, symmetric intervals and shortest intervals [s] (target ≤ 5)": whole,
     }

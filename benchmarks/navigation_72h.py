@@ -1,6 +1,7 @@
 """Measures 72 h of rotation–stop navigation at 200 Hz on the virtual bench: run, seal, navigation, report and peak memory.
 
-The plan is the shipped cycle of sixteen moves with alignment in motion, made longer. For the memory, a twelfth of the time is run too.
+The plan is a longer version of the shipped cycle of sixteen moves with alignment in motion. To compare the memory, a run of a
+twelfth of the time is also measured.
 """
 
 from __future__ import annotations
@@ -47,13 +48,13 @@ report: [report.html, summary.md]
 
 
 def moves() -> str:
-    """The sixteen moves of the shipped plan."""
+    """Returns the sixteen moves of the shipped plan."""
     text = (ROOT / "plans" / "rotation_stop_navigation.yaml").read_text(encoding="utf-8")
     return max(re.findall(r"\[A [^\]]*\]", text), key=len).replace("\n", " ")
 
 
 def whole(hours: float, hertz: float) -> Figures:
-    """The run from check to report, and its figures."""
+    """Executes the run from the check to the report, and returns its figures."""
     from planrunner.cli import main
 
     with tempfile.TemporaryDirectory() as name:
@@ -77,7 +78,7 @@ def run(size: Size = FULL) -> dict[str, object]:
     return {
         f"{hours:g} h at {size.hertz:g} Hz, end to end [s]": long["seconds"],
         "samples × channels recorded [GB]": long["gigabytes"],
-        "CEP rate found [nmi/h]": long["cep"],
+        "resulting CEP rate [nmi/h]": long["cep"],
         f"peak memory at {hours / 12:g} h [MB]": short["peak"],
         f"peak memory at {hours:g} h [MB]": long["peak"],
         "difference [MB]": long["peak"] - short["peak"],

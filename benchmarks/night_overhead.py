@@ -30,7 +30,7 @@ segments:
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Tests of a night, and turns."""
+    """Number of tests in a night, and number of measurements."""
 
     tests: int
     turns: int
@@ -40,7 +40,7 @@ FULL, SMALL = Size(10, 3), Size(2, 1)
 
 
 def one_by_one(folder: Path, tests: int) -> float:
-    """Seconds of the plans in processes started one after the other."""
+    """Returns the time of the plans in processes that are started one after the other, s."""
     began = time.perf_counter()
     for number in range(tests):
         _planrunner(folder, "run", "p.yaml", "--set", f"device_serial={number}", "--unattended", "--json")
@@ -48,7 +48,8 @@ def one_by_one(folder: Path, tests: int) -> float:
 
 
 def as_a_night(folder: Path, tests: int) -> float:
-    """Seconds of the same plans as a night, with the start of its process and its check."""
+    """Returns the time of the same plans as a night, s. The time includes the start of the night's process and the check of the
+    suite."""
     values = ", ".join(f'"{number}"' for number in range(tests))
     suite = "planrunner_suite: 1\ntitle: n\nbenches: {a: {bench: virtual}}\n"
     (folder / "night.yaml").write_text(
@@ -82,9 +83,9 @@ def run(size: Size = FULL) -> Figures:
             )
             starts.append(time.perf_counter() - began)
     return {
-        f"{size.tests} plans as a night, with its start and check [s]": min(nights),
-        f"{size.tests} plans in processes one after the other [s]": min(alone),
-        "start and check of the suite, once a night [s]": min(starts),
-        "overhead of the night a plan [s] (target ≤ 0.2)": (min(nights) - min(alone) - min(starts)) / size.tests,
-        "the same, with the start and check of the suite shared out [s]": (min(nights) - min(alone)) / size.tests,
+        f"{size.tests} plans as a night, including start and check [s]": min(nights),
+        f"{size.tests} plans in separate processes, one after the other [s]": min(alone),
+        "start and check of the suite, once per night [s]": min(starts),
+        "overhead of the night per plan [s] (target ≤ 0.2)": (min(nights) - min(alone) - min(starts)) / size.tests,
+        "overhead per plan, including its share of the start and check [s]": (min(nights) - min(alone)) / size.tests,
     }

@@ -20,7 +20,8 @@ FULL, SMALL = Size(1000, 7), Size(50, 1)
 
 
 def written(segments: int, changed: bool) -> str:
-    """A plan with a line for each segment; changed: another dwell, one segment renamed, one moved, one removed."""
+    """Writes a plan with one line for each segment. changed: if True, the dwell differs, and one segment is renamed, one moved and
+    one removed."""
     rows = [
         f"  - {{label: S{k}, temperature: {20 + k % 7} degC, rate: {1 + k % 11} deg/s, settle: {k % 13} s}}"
         for k in range(segments)
@@ -70,8 +71,8 @@ def run(size: Size = FULL) -> dict[str, object]:
     reading, meaning, comparing, digesting = best
     return {
         f"reading two plans of {size.segments} segments [s]": reading,
-        "their meanings [s]": meaning,
-        "the difference [s]": comparing,
-        "in all (target ≤ 0.5) [s]": reading + meaning + comparing,
-        "both digests [s]": digesting,
+        "computing the meanings of both plans [s]": meaning,
+        "comparing the meanings [s]": comparing,
+        "total of reading, meanings and comparison (target ≤ 0.5) [s]": reading + meaning + comparing,
+        "computing the digests of both plans [s]": digesting,
     }

@@ -41,7 +41,8 @@ def blocks(samples: int) -> Iterator[Block]:
 
 
 def record(samples: int) -> Figures:
-    """Record and take statistics: seconds of both, peak memory [MB], and how often each file was opened."""
+    """Records samples and computes statistics. Returns the times of both [s], the peak memory [MB], and the number of times that
+    each file was opened."""
     segment = Segment(0, "long", None, "unknown", Rest(), samples / RATE)
     opened: list[str] = []
     watching = False
@@ -79,5 +80,5 @@ def run(size: Size = FULL) -> dict[str, object]:
         "difference [MB] (target ≤ 50)": long["peak"] - short["peak"],
         f"recording {many} samples [s]": long["record"],
         f"statistics of {many} samples [s]": long["statistics"],
-        "times that each file was opened for them (target 1)": long["times"],
+        "number of times that each file was opened for the statistics (target 1)": long["times"],
     }

@@ -32,7 +32,8 @@ FULL, SMALL = Size(10**8), Size(3 * 10**5, rounds=1, separate=False)
 
 
 def read(samples: int, rounds: int) -> Figures:
-    """Processor seconds of reading with statistics, without and with screening, medians; finds; peak memory [MB]."""
+    """Reads samples with statistics, without and with screening. Returns the medians of the two processor times [s], the number of
+    finds, and the peak memory [MB]."""
     segment = Segment(0, "long", np.eye(3), "as built", Rest(), samples / RATE)
     schedule = Schedule((segment,), samples / RATE)
     found = 0
@@ -76,8 +77,8 @@ def run(size: Size = FULL) -> dict[str, object]:
     rows = counted(size.samples)
     return {
         f"reading {rows} samples with statistics [s of processor time]": known["alone"],
-        "the same with screening [s of processor time]": known["screened"],
+        "reading with statistics and screening [s of processor time]": known["screened"],
         "ratio (target ≤ 1.2)": known["screened"] / known["alone"],
-        "finds in white noise (target 0)": known["finds"],
+        "outliers found in white noise (target 0)": known["finds"],
         "peak memory [MB]": known["peak"],
     }

@@ -59,13 +59,13 @@ def crc32_by_table(data: bytes) -> int:
 
 
 def crc32_by_zlib(data: bytes) -> int:
-    """The same by zlib's, whose bits run the other way."""
+    """Computes the same CRC with zlib, whose bits have the reverse order."""
     found = zlib.crc32(data.translate(MIRRORED)) ^ 0xFFFFFFFF
     return int.from_bytes(found.to_bytes(4, "little").translate(MIRRORED), "big")
 
 
 def crc16_by_steps(data: bytes) -> int:
-    """The usual way to write it without a table."""
+    """Computes the CRC bit by bit, without a table, as drivers often do."""
     crc = 0
     for byte in data:
         crc = (crc >> 8 | crc << 8 & 0xFFFF) ^ byte
@@ -183,7 +183,7 @@ def xor_in_python(data: bytes) -> int:
 def streams(
     frames: int,
 ) -> dict[str, tuple[Decoder, bytes, Callable[..., np.ndarray], Callable[[bytes], int], Callable[[bytes], int] | None]]:
-    """Sensor → decoder, stream, loop, and its check in Python and by the library."""
+    """Returns, for each sensor: the decoder, the stream, the loop, and the check of the loop in Python and by the library."""
     draw, index = np.random.default_rng(0), np.arange(frames)
     columns = {f"{name}_{axis}": draw.uniform(-1, 1, frames) for name in ("gyro", "acc", "incl") for axis in "xyz"}
     columns |= {f"{name}_T_{axis}": draw.uniform(0, 50, frames) for name in ("gyro", "acc", "incl") for axis in "xyz"}
@@ -253,7 +253,7 @@ def run(size: Size = FULL) -> dict[str, object]:
         figures[f"{name} / loop (target ≥ 30)"] = theirs / ours
         if library is not None:
             fastest = best(partial(loop, stream, library), size.turns)
-            figures[f"{name} / loop with compiled check"] = fastest / ours
+            figures[f"{name} / loop with a compiled check"] = fastest / ours
         if name == "STIM300":
-            figures["STIM300 / its wire rate of 2 kHz (target ≥ 100)"] = size.frames / ours / WIRE_RATE
+            figures["STIM300 / frame rate of the sensor, 2 kHz (target ≥ 100)"] = size.frames / ours / WIRE_RATE
     return figures

@@ -44,7 +44,7 @@ FULL, SMALL = Size(4, 600.0, 200), Size(2, 0.5, 2)
 
 
 def send(lines: list[int]) -> None:
-    """Frames of everything that a STIM300 has, CR LF behind them, on every line until standard input ends."""
+    """Sends STIM300 frames with all contents, each followed by CR LF, on every line until standard input ends."""
     from planrunner.simulators.stim300 import Stim300 as Unit
 
     index = np.arange(256)
@@ -75,7 +75,7 @@ def send(lines: list[int]) -> None:
 
 
 class Units:
-    """The sending process and the names of its lines."""
+    """The process that sends frames, and the names of its lines."""
 
     def __init__(self, count: int):
         import tty
@@ -154,7 +154,7 @@ def sustained(count: int, seconds: float) -> dict[str, object]:
 
 
 class Bench:
-    """A bench with one sensor that notes when it is made safe."""
+    """A bench with one sensor. It records the time at which it is made safe."""
 
     def __init__(self, sensor: Stim300, clock: WallClock):
         self.clock, self.sensor = clock, sensor
@@ -165,10 +165,10 @@ class Bench:
         self.safe_at = 0.0
 
     def sign_of_life(self) -> None:
-        """No watchdog listens."""
+        """Does nothing, because there is no watchdog."""
 
     def take_control(self, *names: str) -> None:
-        """All of it is made safe."""
+        """Does nothing, because the whole bench is always made safe."""
 
     @property
     def untouched(self) -> tuple[str, ...]:
@@ -180,7 +180,8 @@ class Bench:
 
 
 def stops(folder: Path, count: int) -> dict[str, object]:
-    """Seconds from a second Ctrl-C to the call that makes the bench safe, while the sensor streams at its full rate."""
+    """Returns the times from the second Ctrl-C to the call that makes the bench safe, s. During this time, the sensor streams at
+    its full rate."""
     draw, clock, waited = np.random.default_rng(0), WallClock(), []
     with Units(1) as units:
         sensor = connected(units.ports[0], clock)
@@ -200,7 +201,7 @@ def stops(folder: Path, count: int) -> dict[str, object]:
         sensor.close()
     return {
         f"stop to safe, median of {count} [ms]": 1e3 * float(np.median(waited)),
-        "stop to safe, 99 % [ms]": 1e3 * float(np.quantile(waited, 0.99)),
+        "stop to safe, 99 % quantile [ms]": 1e3 * float(np.quantile(waited, 0.99)),
     }
 
 

@@ -1,9 +1,10 @@
-"""The results of every shipped plan, to be compared before and after a change that must not alter them.
+"""Compares the results of every shipped plan before and after a change that must not alter them.
 
-`python -m benchmarks.shipped_results write FILE` checks every plan in `plans/`, runs it with a fixed seed, diagnoses some of the runs,
-and writes what `--json` prints of each: predicted uncertainties, coefficients with standard uncertainty and covariance, budgets, tables,
-verdicts on limits. `python -m benchmarks.shipped_results compare FILE` does the same again and lists every figure that differs from FILE
-by more than 1e-9, relative to the larger of the two. Recordings are found beneath `PLANRUNNER_DATA` or `../shared/data`.
+`python -m benchmarks.shipped_results write FILE` checks every plan in `plans/`, runs it with a fixed seed, and diagnoses some of
+the runs. It writes the output of `--json` for each plan: predicted uncertainties, coefficients with standard uncertainty and
+covariance, budgets, tables, verdicts on limits. `python -m benchmarks.shipped_results compare FILE` repeats this and lists every
+figure that differs from FILE by more than 1e-9, relative to the larger of the two figures. It looks for recordings in
+`PLANRUNNER_DATA` or `../shared/data`.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def results_of(plan: Path) -> dict[str, Any]:
-    """What `check`, `run` and, for some, `diagnose` print of one plan."""
+    """Returns the output of `check`, `run` and, for some plans, `diagnose` for one plan."""
     print(plan.stem, file=sys.stderr, flush=True)
     with tempfile.TemporaryDirectory() as runs:
         told = [
@@ -68,14 +69,14 @@ def results_of(plan: Path) -> dict[str, Any]:
 
 
 def asked(plan: Path, name: str) -> bool:
-    """Whether the plan's `record` names this piece of run information."""
+    """Returns True if `record` of the plan names this item of the run information."""
     return f"{name}: " in next(
         (line for line in plan.read_text(encoding="utf-8").splitlines() if line.startswith("record:")), ""
     )
 
 
 def printed(*words: str) -> dict[str, Any]:
-    """Exit code and JSON of a command, which may end with a failed limit."""
+    """Returns the exit code and the JSON output of a command. The command may end with a failed limit."""
     done = subprocess.run([sys.executable, "-m", "planrunner", *words], capture_output=True, text=True, cwd=ROOT)
     try:
         return {"code": done.returncode, "printed": json.loads(done.stdout)}
@@ -84,7 +85,7 @@ def printed(*words: str) -> dict[str, Any]:
 
 
 def differences(kept: Any, found: Any, place: str = "") -> Iterator[str]:
-    """Every place where `found` differs from `kept` by more than the tolerance."""
+    """Yields every place where `found` differs from `kept` by more than the tolerance."""
     if isinstance(kept, dict) and isinstance(found, dict):
         for key in sorted(set(kept) | set(found)):
             if key in PATHS:
@@ -106,7 +107,7 @@ def differences(kept: Any, found: Any, place: str = "") -> Iterator[str]:
 
 
 def numbers(tree: Any) -> Iterator[float]:
-    """Every number in nested data."""
+    """Yields every number in nested data."""
     if isinstance(tree, dict):
         tree = list(tree.values())
     if isinstance(tree, list):

@@ -25,7 +25,7 @@ BLOCK = 360_000
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Steps of the comparison, turns of it, and the two numbers of steps whose memory is compared."""
+    """Number of steps of the comparison, number of measurements, and the two numbers of steps whose memory is compared."""
 
     steps: int
     turns: int
@@ -38,7 +38,7 @@ FULL, SMALL = Size(3_600_000, 3, 1_440_000, 14_400_000), Size(2000, 1, 2000, 400
 
 
 def increments(steps: int, seed: int, hertz: float = HERTZ) -> np.ndarray:
-    """Noisy increments (6, steps) of a level unit whose axes are east, north, up."""
+    """Returns noisy increments (6, steps) of a level unit whose axes point east, north and up."""
     rest = np.array([0.0, EARTH * np.cos(LATITUDE), EARTH * np.sin(LATITUDE), 0.0, 0.0, GRAVITY]) / hertz
     white = np.array([3e-7] * 3 + [3e-5] * 3) / np.sqrt(hertz)
     return rest[:, None] + white[:, None] * np.random.default_rng(seed).standard_normal((6, steps))
@@ -57,7 +57,8 @@ def ours(values: np.ndarray, interval: np.ndarray) -> tuple[float, Navigator]:
 
 
 def corrected(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation vectors and velocity increments (n, 3) in forward-right-down axes, coning and sculling done as python-ins does."""
+    """Returns rotation vectors and velocity increments (n, 3) in forward-right-down axes. Coning and sculling are corrected as in
+    python-ins."""
     gyro, force = (np.ascontiguousarray(part[[1, 0, 2]].T) * [1.0, 1, -1] for part in (values[:3], values[3:]))
     before_gyro, before_force = np.vstack([np.zeros(3), gyro[:-1]]), np.vstack([np.zeros(3), force[:-1]])
     theta = gyro + np.cross(before_gyro, gyro) / 12
@@ -87,7 +88,7 @@ def public(table: pd.DataFrame) -> float:
 
 
 def memory(steps: int) -> Figures:
-    """Navigate so many steps, block by block: the peak memory [MB]."""
+    """Navigates this number of steps, block by block. Returns the peak memory [MB]."""
     unit = navigator(400)
     for start in range(0, steps, BLOCK):
         length = min(BLOCK, steps - start)
@@ -118,12 +119,12 @@ def run(size: Size = FULL) -> dict[str, object]:
     few, many = (figures_of(memory, length, separate=size.separate)["peak"] for length in (size.few, size.many))
     return {
         f"{counted(steps)} steps [s]": own,
-        "one step [ns]": own / steps * 1e9,
+        "time of one step [ns]": own / steps * 1e9,
         "bare kernel of python-ins [s]": kernel,
         "ratio (target ≥ 2)": kernel / own,
         "public Integrator of python-ins [s]": integrator,
         "ratio (target ≥ 10)": integrator / own,
-        f"the two apart after {steps / HERTZ / 3600:.3g} h [m]": float(apart),
+        f"position difference of the two programs after {steps / HERTZ / 3600:.3g} h [m]": float(apart),
         f"peak memory at {counted(size.few)} steps [MB]": few,
         f"peak memory at {counted(size.many)} steps ({size.many / 400 / 3600:.3g} h at 400 Hz) [MB]": many,
     }

@@ -77,7 +77,7 @@ def record(folder: Path, segments: tuple[Segment, ...]) -> Path:
 
 
 def merely_decode(path: Path) -> None:
-    """What pyarrow alone does: every sample decoded once, no digest checked."""
+    """Decodes every sample once with pyarrow alone. Digests are not checked."""
     import pyarrow.parquet as pq
 
     for part in sorted((path / "segments").iterdir()):
@@ -87,7 +87,8 @@ def merely_decode(path: Path) -> None:
 
 
 def merely_read(path: Path) -> None:
-    """Check every file's digest, decode every sample once and look at nothing: the same bytes and columns as an estimate."""
+    """Checks the digest of every file and decodes every sample once, without using the values. It reads the same bytes and columns
+    as an estimate."""
     reader = RunReader.open(path)
     for item in reader.acknowledged():
         for _ in reader.blocks(item):
@@ -95,7 +96,7 @@ def merely_read(path: Path) -> None:
 
 
 def estimate(path: Path, schedule: Schedule) -> float:
-    """Statistics and estimate; returns the seconds of the estimate alone."""
+    """Computes the statistics and the estimate. Returns the time of the estimate alone, s."""
     mounting = {
         axis: MountedAxis(angle=parse_quantity("54.7356 deg"), azimuth=parse_quantity(f"{azimuth} deg"))
         for axis, azimuth in AXES.items()
@@ -113,7 +114,7 @@ def estimate(path: Path, schedule: Schedule) -> float:
 
 
 def timed(action: Callable[[], object]) -> tuple[float, float]:
-    """Seconds by the clock, and of the processor."""
+    """Returns the elapsed time and the processor time, s."""
     clock, processor = time.perf_counter(), time.process_time()
     action()
     return time.perf_counter() - clock, time.process_time() - processor
@@ -138,10 +139,10 @@ def run(size: Size = FULL) -> dict[str, object]:
     (decoding, _), (reading, reading_cpu), (whole, whole_cpu) = np.median(rounds, axis=0)
     return {
         f"pyarrow alone decoding {counted(samples)} samples × 3 channels [s]": decoding,
-        "merely reading them, digests checked [s]": reading,
-        "reading them, statistics and scale factors [s]": whole,
-        f"ratio to merely reading, medians of {size.rounds}": whole / reading,
-        "the same in processor time": whole_cpu / reading_cpu,
-        "of this, the estimate after the statistics [s]": float(np.median(alone)),
+        "only reading the samples, with a check of the digests [s]": reading,
+        "reading the samples, statistics and scale factors [s]": whole,
+        f"ratio to only reading, median of {size.rounds} rounds": whole / reading,
+        "ratio of the processor times, estimate / only reading": whole_cpu / reading_cpu,
+        "estimate after the statistics, part of the above time [s]": float(np.median(alone)),
         "peak memory [MB]": peak_memory(),
     }

@@ -21,7 +21,7 @@ CHANNELS = dict.fromkeys(("x", "y", "z"), "deg/s")
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """samples: of each segment."""
+    """samples: number of samples of each segment."""
 
     segments: int
     samples: int
@@ -45,7 +45,7 @@ def write(root: Path, size: Size) -> Path:
 
 
 def hashed(run: Path) -> int:
-    """The SHA-256 of every file of the run, as `sha256sum` computes it; returns the number of bytes."""
+    """Computes the SHA-256 of every file of the run, as `sha256sum` does. Returns the number of bytes."""
     count = 0
     for path in run.rglob("*"):
         if path.is_file():
@@ -70,7 +70,7 @@ def run(size: Size = FULL) -> dict[str, float]:
             bare.append(time.perf_counter() - middle)
     ratio = statistics.median(one / other for one, other in zip(ours, bare, strict=True))
     return {
-        "bytes of the run [MB]": count / 1e6,
+        "size of the run [MB]": count / 1e6,
         f"verify, {size.segments} files of samples [s]": statistics.median(ours),
         "SHA-256 of the same bytes [s]": statistics.median(bare),
         f"verify / SHA-256, median of {size.pairs} pairs (target ≤ 2)": ratio,

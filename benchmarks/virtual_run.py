@@ -21,7 +21,7 @@ CHANNELS, BLOCK = 3, 100_000
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """Samples of the timed runs and turns of them, and the two numbers of samples whose memory is compared."""
+    """Number of samples of the timed runs, number of measurements, and the two numbers of samples whose memory is compared."""
 
     samples: int
     turns: int
@@ -39,7 +39,7 @@ SETTINGS = {
 
 
 def record(samples: int, folder: Path) -> tuple[float, Path]:
-    """Seconds from the first move to the sealed run folder, and the folder."""
+    """Executes a run. Returns the time from the first move to the sealed run folder [s], and the folder."""
     from planrunner.archive.run_folder import RunWriter
     from planrunner.bench.model import read_bench
     from planrunner.bench.opening import open_bench
@@ -66,7 +66,7 @@ def draw(samples: int) -> float:
 
 
 def write_again(run: Path, folder: Path) -> float:
-    """Seconds to write the run's own columns with pyarrow alone, a file a part, from memory."""
+    """Returns the time in which pyarrow alone writes the columns of the run from memory, one file for each part, s."""
     import pyarrow.parquet as pq
 
     taken = 0.0
@@ -83,7 +83,7 @@ def write_again(run: Path, folder: Path) -> float:
 
 
 def memory(samples: int) -> Figures:
-    """Peak memory [MB] of a run."""
+    """Returns the peak memory of a run, MB."""
     with tempfile.TemporaryDirectory() as name:
         record(samples, Path(name))
     return {"peak": peak_memory()}
@@ -103,8 +103,8 @@ def run(size: Size = FULL) -> dict[str, object]:
     few, many = (figures_of(memory, samples, separate=size.separate)["peak"] for samples in (size.few, size.many))
     return {
         f"virtual run of {counted(size.samples)} samples × 3 channels [s]": min(runs),
-        "numpy drawing the noise [s]": min(draws),
-        "pyarrow writing the bytes [s]": min(writes),
+        "drawing the noise with numpy alone [s]": min(draws),
+        "writing the bytes with pyarrow alone [s]": min(writes),
         "ratio (target ≤ 2)": min(runs) / floor,
         f"peak memory at {counted(size.few)} samples [MB]": few,
         f"peak memory at {counted(size.many)} samples [MB]": many,
