@@ -15,6 +15,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.progress import Announce, Pace
 from planrunner.instruments.formats.choice import Format
+from planrunner.instruments.formats.file import AnyFile
 from planrunner.instruments.formats.guessing import (
     GRAVITY_ALIKE,
     LONGEST_STEP,
@@ -27,7 +28,9 @@ from planrunner.instruments.formats.guessing import (
     guessed_time,
     not_numbers,
     of_minutes,
+    of_sensors_alone,
     opened,
+    reading,
     sensors_in_rows,
     stated_rates,
     usual_unit,
@@ -205,24 +208,26 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     contains no time or no inertial channel."""
     try:
         given = guessed_format(path, path.name)
-        columns = columns_of_numbers(path, path.name, given)
-        _one_sensor_a_row(path, columns, given)
-        file = opened(path, path.name, columns, given)
+        whole = opened(path, path.name, given)
+        columns = columns_of_numbers(whole)
+        _one_sensor_a_row(whole, columns)
+        whole = of_sensors_alone(whole, columns)
+        file = reading(whole, columns)
         first = next((values for _, _, values in file.all_rows()), None)
         if first is None:
             raise InstrumentError(f"{path.name} holds no samples")
         plain = [column for column in columns if not of_minutes(first[column])]
-        written = {} if rate is not None else columns_of_times(path, path.name, plain, given)
+        written = {} if rate is not None else columns_of_times(whole, plain)
         time = guessed_time(first, written, stated_rates(path, path.name, given))
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
             hint = "state the sample rate, such as --sample-rate '100 Hz'"
-            if unread := not_numbers(path, path.name, columns, given):
+            if unread := not_numbers(whole, columns):
                 message = f"{message}; {next(iter(unread.values()))}"
                 hint = f"correct the file, or {hint}"
             raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
         if rate is None and time is not None and time.written:
-            file = opened(path, path.name, columns, given, time.column)
+            file = reading(whole, columns, time.column)
         found = rate if rate is not None else 0.0 if time is None else time.rate
         stamp = time if rate is None else None
         guesses = guessed_channels([column for column in columns if stamp is None or column != stamp.column])
@@ -240,7 +245,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     if not any(one.sensed in ("gyro", "accel") for one in guesses):
         message = f"no column looks like a gyro or an accelerometer: {', '.join(columns[:12])}"
         hint = "describe the recording in a bench file, as docs/recording-formats.md shows"
-        if unread := not_numbers(path, path.name, columns, given):
+        if unread := not_numbers(whole, columns):
             message, hint = f"no gyro or accelerometer can be read: {next(iter(unread.values()))}", "correct the file"
         raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
     samples = max(counts[one.column] for one in guesses if one.sensed in ("gyro", "accel"))
@@ -257,12 +262,12 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     )
 
 
-def _one_sensor_a_row(path: Path, columns: Sequence[str], given: Format | None) -> None:
+def _one_sensor_a_row(file: AnyFile, columns: Sequence[str]) -> None:
     """Raises `InstrumentError` if the rows of a file belong to different sensors."""
-    column, words = sensors_in_rows(path, path.name, columns, given)
+    column, words = sensors_in_rows(file, columns)
     if column:
         message = (
-            f"each row of {path.name} belongs to one sensor, which the column '{column}' states: {', '.join(words)}"
+            f"each row of {file.name} belongs to one sensor, which the column '{column}' states: {', '.join(words)}"
         )
         hint = "write one file for each sensor, or a table in which each row contains all sensors"
         raise InstrumentError(f"{message}; {hint}")

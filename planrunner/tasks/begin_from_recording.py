@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 
 from planrunner.base.findings import count_of
-from planrunner.instruments.formats.text import TextKeys
 from planrunner.instruments.recording_look import AT_LEAST, MOVING, WINDOW, Look, poses
+from planrunner.plan.kinds import Record, keys_of
 from planrunner.plan.span import Span
 
 POSES = 9
@@ -44,6 +44,17 @@ def _quoted(text: str) -> str:
     return text if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./]*", text) else "'" + text.replace("'", "''") + "'"
 
 
+def _stated(keys: Record) -> list[str]:
+    """Returns the keys of a format that differ from their defaults, in YAML. The separator of a text is always stated."""
+    found = []
+    for name, item in keys_of(type(keys)).items():
+        value = getattr(keys, item.name)
+        if value != item.default or name == "separator":
+            shown = f"[{', '.join(map(_quoted, value))}]" if isinstance(value, tuple) else _quoted(str(value))
+            found.append(f"{name}: {shown if isinstance(value, tuple | str) else value}")
+    return found
+
+
 def bench_of(look: Look, name: str) -> str:
     """Makes the text of a bench file that plays the recording back. `name`: name of the bench."""
     lines = [
@@ -58,14 +69,8 @@ def bench_of(look: Look, name: str) -> str:
         "    driver: recording",
         f"    file: {_quoted(look.file)}",
     ]
-    if look.format is not None and isinstance(look.format.parameters, TextKeys):
-        keys = look.format.parameters
-        said = [f"separator: {keys.separator}"]
-        said += [f"decimal: {keys.decimal}"] if keys.decimal != "point" else []
-        said += [f"skip: {keys.skip}"] if keys.skip else []
-        said += [f"encoding: {keys.encoding}"] if keys.encoding != "utf-8" else []
-        said += [f"names: [{', '.join(map(_quoted, keys.names))}]"] if keys.names else []
-        lines.append(f"    format: {{type: text, {', '.join(said)}}}")
+    if look.format is not None:
+        lines.append(f"    format: {{{', '.join([f'type: {look.format.type}', *_stated(look.format.parameters)])}}}")
     lines.append("    kind: imu")
     if look.backwards:
         lines.append(

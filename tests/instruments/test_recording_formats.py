@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import sqlite3
 import struct
@@ -17,7 +18,7 @@ from scipy.io import savemat
 
 from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
-from planrunner.instruments.formats import arrays
+from planrunner.instruments.formats import arrays, json_samples
 from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
@@ -146,7 +147,36 @@ def write_sqlite(folder: Path) -> str:
     return keys + columns({"x": "x", "z": 'the "z"'})
 
 
+def json_rows() -> list[dict[str, object]]:
+    return [
+        {"t": float(t), "rate": {"x": float(row[0])}, "list": [None, float(row[2])]}
+        for t, row in zip(TIME, RATE, strict=True)
+    ]
+
+
+def write_json_lines(folder: Path) -> str:
+    (folder / "r.jsonl").write_text("".join(f"{json.dumps(row)}\n" for row in json_rows()), encoding="utf-8")
+    return "file: r.jsonl\ntime: {column: t}\n" + columns({"x": "rate.x", "z": "list[2]"})
+
+
+def write_json_list(folder: Path) -> str:
+    """With a BOM, and a list that a key names."""
+    held = {"a": json_rows()[:5], "b": {"imu": json_rows()}}
+    (folder / "r.json").write_text(json.dumps(held, indent=2), encoding="utf-8-sig")
+    keys = "file: r.json\nformat: {type: json, samples: b.imu}\ntime: {column: t}\n"
+    return keys + columns({"x": "rate.x", "z": "list[2]"})
+
+
+def write_json_columns(folder: Path) -> str:
+    held = {"t": TIME.tolist(), "rates": RATE.tolist(), "calibration": [1.0, 0.5]}
+    (folder / "r.json").write_text(json.dumps(held), encoding="utf-8")
+    return "file: r.json\ntime: {column: t}\n" + columns({"x": "rates[1]", "z": "rates[3]"})
+
+
 WRITERS = (
+    write_json_lines,
+    write_json_list,
+    write_json_columns,
     write_semicolons,
     write_blanks,
     write_after_remarks,
@@ -167,6 +197,7 @@ def test_every_format_gives_the_numbers_that_its_library_wrote(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path], str], batch: int
 ) -> None:
     monkeypatch.setattr(format_file, "BATCH", batch)
+    monkeypatch.setattr(json_samples, "ROWS", batch)
     time, channels = read(tmp_path, write(tmp_path))
     np.testing.assert_allclose(time, TIME - TIME[0], rtol=0, atol=2e-9)
     np.testing.assert_allclose(channels["x"], RATE[:, 0], rtol=0, atol=1e-12)
@@ -318,7 +349,7 @@ def test_a_view_of_sqlite_is_not_run(tmp_path: Path) -> None:
     assert "has no tables" in refusal(tmp_path, "file: r.db\ntime: {column: t}\n" + columns({"x": "x"}))
 
 
-@pytest.mark.parametrize("name", ["r.mat", "r.npy", "r.npz", "r.h5", "r.db", "r.ulg", "r.parquet"])
+@pytest.mark.parametrize("name", ["r.mat", "r.npy", "r.npz", "r.h5", "r.db", "r.ulg", "r.parquet", "r.json"])
 @pytest.mark.parametrize(
     "content", [b"", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n", bytes(range(256)) * 20, zlib.compress(b"x" * 999)]
 )

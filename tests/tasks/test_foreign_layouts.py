@@ -281,6 +281,44 @@ def witmotion(folder: Path) -> Path:
 
 NANOSECONDS = 1772625600005000000 + 20_000_000 * np.arange(len(TIME))
 DATE, OF_DAY = "date_time", "time_of_day"
+
+
+def json_lines(folder: Path) -> Path:
+    """Messages of a broker: those of the IMU between others, the vectors as objects and as lists."""
+    stamp = at("%Y-%m-%dT%H:%M:%S.{f}Z")
+    lines = ['{"type": "hello", "firmware": "1.2"}']
+    for k, (t, g, a) in enumerate(zip(TIME.tolist(), GYRO.tolist(), ACCEL.tolist(), strict=True)):
+        gyro = dict(zip("xyz", g, strict=True))
+        lines.append(json.dumps({"type": "imu", "timestamp": stamp(t), "gyro": gyro, "accel": a}))
+        lines += [json.dumps({"type": "battery", "timestamp": stamp(t), "volt": 3.7})] * (k % 100 == 0)
+    return text(folder / "r.jsonl", lines[0], lines[1:])
+
+
+def json_list(name: str, document: dict[str, object] | None = None) -> Write:
+    def write(folder: Path) -> Path:
+        names = ["time_ms", *IN_DPS_G.split(",")]
+        table = np.column_stack([1e3 * TIME, GYRO * DEG, ACCEL / G]).tolist()
+        samples: object = [dict(zip(names, row, strict=True)) for row in table]
+        if document is not None:
+            samples = {**document, "session": {"imu": samples, "events": [{"t": 1.0, "what": "start"}]}}
+        return text(folder / name, json.dumps(samples, indent=1), [])
+
+    return write
+
+
+def json_columns(folder: Path) -> Path:
+    held = {"rate": RATE, "data": {"time_s": TIME.tolist(), "gyro": GYRO.tolist(), "accel": ACCEL.tolist()}}
+    return text(folder / "r.json", json.dumps(held), [])
+
+
+def json_of_pandas(folder: Path) -> Path:
+    """As `DataFrame.to_json` writes a table by default."""
+    table = {"time_s": TIME, **{f"gyro_{x}": GYRO[:, k] for k, x in enumerate("xyz")}}
+    table |= {f"acc_{x}": ACCEL[:, k] for k, x in enumerate("xyz")}
+    held = {name: {str(k): value for k, value in enumerate(values.tolist())} for name, values in table.items()}
+    return text(folder / "r.json", json.dumps(held), [])
+
+
 CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "vectornav": (vectornav, None, "rad/s", "m/s^2"),
     "sbg": (sbg, "us", "deg/s", "m/s^2"),
@@ -323,6 +361,11 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "numpy": (numpy_dates, DATE, "rad/s", "m/s^2"),
     "matlab": (matlab_days, "days", "rad/s", "m/s^2"),
     "sqlite": (sqlite, DATE, "rad/s", "m/s^2"),
+    "json lines": (json_lines, DATE, "rad/s", "m/s^2"),
+    "json list": (json_list("r.log"), "ms", "deg/s", "g"),
+    "json document": (json_list("r.json", {"device": {"serial": "7", "axes": [1, 2, 3]}}), "ms", "deg/s", "g"),
+    "json columns": (json_columns, "s", "rad/s", "m/s^2"),
+    "pandas": (json_of_pandas, "s", "rad/s", "m/s^2"),
 }
 
 
@@ -396,7 +439,7 @@ def written(content: bytes) -> Write:
         (written(gzip.compress(b"t,gx\n")), "is a compressed file: unpack it first"),
         (written(b"PK\x03\x04" + bytes(200)), "is an archive or an Excel workbook"),
         (written(b"#ROSBAG V2.0\n" + bytes(200)), "is a ROS bag"),
-        (written(b'{"t": 0.0, "gx": 1}\n' * 50), "is a list of JSON objects"),
+        (written(b'{"t": 0.0, "gx": 1}\n' * 50), "no column of this recording looks like a time that increases"),
         (written(b"t=0.0 gx=1\n" * 50), "its first line is 't=0.0 gx=1'"),
     ],
 )

@@ -12,6 +12,7 @@ from planrunner.instruments.formats.arrays import Hdf5File, MatlabFile, NumpyFil
 from planrunner.instruments.formats.binary import BinaryFile, BinaryKeys, check_binary
 from planrunner.instruments.formats.database import SqliteFile
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
+from planrunner.instruments.formats.json_samples import JsonFile
 from planrunner.instruments.formats.parquet import ParquetFile
 from planrunner.instruments.formats.text import TextFile
 from planrunner.instruments.interfaces import InstrumentError
@@ -27,6 +28,7 @@ FORMATS: dict[str, type[AnyFile]] = {
     "hdf5": Hdf5File,
     "sqlite": SqliteFile,
     "ulog": UlogFile,
+    "json": JsonFile,
 }
 ENDINGS = {
     ".csv": "text",
@@ -42,6 +44,9 @@ ENDINGS = {
     ".sqlite": "sqlite",
     ".db": "sqlite",
     ".ulg": "ulog",
+    ".json": "json",
+    ".jsonl": "json",
+    ".ndjson": "json",
 }
 """File formats, by the extension of the file name."""
 

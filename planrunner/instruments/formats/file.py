@@ -3,12 +3,13 @@ sizes."""
 
 from __future__ import annotations
 
+import copy
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import field
 from pathlib import Path
-from typing import BinaryIO, Generic, Protocol, TypeVar
+from typing import BinaryIO, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,6 +134,12 @@ class FormatFile(ABC, Generic[Keys]):
         self.channels = dict(channels)
         self.origin, self.interval, self.about = 0.0, math.nan, 0
 
+    def with_channels(self, stamps: TimeStamps, channels: Mapping[str, str]) -> Self:
+        """Returns the same file with another time and other channels. What is known about its contents is not determined again."""
+        other = copy.copy(self)
+        other.stamps, other.channels = stamps, dict(channels)
+        return other
+
     @abstractmethod
     def columns(self) -> list[str]:
         """Returns the names of the columns. Raises `InstrumentError` if the file cannot be read."""
@@ -243,7 +250,7 @@ class FormatFile(ABC, Generic[Keys]):
 
     def _decide_dates(self, column: str) -> None:
         """Decides the order of day and month from the dates of the whole file."""
-        whole = type(self)(self.path, self.name, self.stamps, {}, self.parameters)
+        whole = self.with_channels(self.stamps, {})
         for first, rows in whole.batches(EVERYTHING):
             if rows.count:
                 rows.times(column, self._places(first, column), self.stamps.dates)

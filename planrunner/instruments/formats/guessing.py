@@ -22,6 +22,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.instruments.formats.choice import ENDINGS, Format, open_file
 from planrunner.instruments.formats.clock import DAY, NoTimesError
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
+from planrunner.instruments.formats.json_samples import JsonFile, JsonKeys
 from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextFile, TextKeys
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.units import STANDARD_GRAVITY
@@ -194,6 +195,8 @@ class Guess:
     increments: bool = False
 
 
+_COUNTED = TimeStamps(None, period=1.0)
+"""The time of a file in which the column of the time is not known yet."""
 _REFUSED = (
     ("a compressed file", b"\x1f\x8b", "unpack it first (gzip)"),
     ("a compressed file", b"BZh", "unpack it first (bzip2)"),
@@ -204,10 +207,10 @@ _REFUSED = (
     ("a bag of ROS 2", b"\x89MCAP", "write the topic of the IMU as CSV"),
     ("a TDMS file of LabVIEW", b"TDSm", "export its channels as text or as HDF5"),
     ("a PDF file", b"%PDF", "ask for the numbers as a text file"),
-    ("a table in JSON", b"[{", "write it as CSV, one line for each sample"),
-    ("a list of JSON objects", b'{"', "write it as CSV, one line for each sample"),
 )
 """Files that are recognised but not read. Each entry states the kind of file, how the file begins, and what the user can do."""
+_JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\[\s*[{\[]|\{\s*\"|\[[-+.\d\s,eE]*\]\s*\[)")
+"""Start of a text in JSON: a list of objects or lists, an object, or lists that follow each other."""
 
 
 def guessed_format(path: Path, name: str) -> Format | None:
@@ -221,6 +224,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
     for what, magic, advice in _REFUSED:
         if start.startswith(magic):
             raise InstrumentError(f"{name} is {what}: {advice}")
+    if _JSON.match(start):
+        return Format(type="json", parameters=JsonKeys())
     if start.startswith((b"\xff\xfe", b"\xfe\xff")):
         keys = _text_keys(start.decode("utf-16", "ignore").lstrip("\ufeff"), "utf-16")
     elif b"\0" in start:
@@ -327,71 +332,77 @@ def _names_above(lines: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
     return tuple(found) if len(set(found)) == width else numbered
 
 
-def columns_of_numbers(path: Path, name: str, given: Format | None) -> list[str]:
+def columns_of_numbers(file: AnyFile) -> list[str]:
     """Returns the numeric columns of a file. Columns whose number of rows differs from the most common number of rows are left out.
     Raises `InstrumentError` if there is no numeric column."""
     counts: dict[str, int] = {}
     reason = ""
-    known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()
+    known = file.columns()
     for column in dict.fromkeys(known[:MOST_COLUMNS]):
         if known.count(column) > 1 or not column:
             continue
-        file = open_file(path, name, TimeStamps(None, period=1.0), {column: column}, given)
+        one = file.with_channels(_COUNTED, {column: column})
         try:
-            for _ in file.rows():
-                counts[column] = file.rows_about()
+            for _ in one.rows():
+                counts[column] = one.rows_about()
                 break
         except InstrumentError as error:
             reason = str(error)
     if not counts:
-        raise InstrumentError(reason or f"{name} has no column of numbers")
+        raise InstrumentError(reason or f"{file.name} has no column of numbers")
     usual = max(set(counts.values()), key=list(counts.values()).count)
     return [column for column, count in counts.items() if count == usual]
 
 
-def not_numbers(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> dict[str, str]:
+def not_numbers(file: AnyFile, numbers: Sequence[str]) -> dict[str, str]:
     """Finds columns that cannot be read, although their names state that they are a time or a channel. Returns the reason for each
     of them. For a column of dates or times of day, the reason names the first wrong time. `numbers`: the columns of numbers, which
     are left out. Raises `InstrumentError` if the file cannot be read."""
-    known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
+    known = file.columns()[:MOST_COLUMNS]
     found: dict[str, str] = {}
     for column in dict.fromkeys(known):
         if column in numbers or known.count(column) > 1:
             continue
         if not (guessed_channel(column).sensed or _TIME.search(column)):
             continue
-        file = open_file(path, name, TimeStamps(None, period=1.0), {column: column}, given)
-        of_times = open_file(path, name, TimeStamps(column, written=True), {}, given)
+        one = file.with_channels(_COUNTED, {column: column})
+        of_times = file.with_channels(TimeStamps(column, written=True), {})
         try:
             with contextlib.suppress(NoTimesError):
                 next(of_times.rows(), None)
                 continue
-            next(file.all_rows(), None)
+            next(one.all_rows(), None)
         except InstrumentError as error:
             found[column] = str(error)
     return found
 
 
-def columns_of_times(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> dict[str, Array]:
+def columns_of_times(file: AnyFile, numbers: Sequence[str]) -> dict[str, Array]:
     """Finds the columns that contain dates or times of day as text. Returns each of them with its first times [s]. `numbers`: the
     columns of numbers, which are left out. Raises `InstrumentError` if the file cannot be read."""
-    known = open_file(path, name, TimeStamps(None, period=1.0), {}, given).columns()[:MOST_COLUMNS]
+    known = file.columns()[:MOST_COLUMNS]
     found: dict[str, Array] = {}
     for column in dict.fromkeys(known):
         if not column or column in numbers or known.count(column) > 1:
             continue
-        file = open_file(path, name, TimeStamps(column, written=True), {}, given)
+        one = file.with_channels(TimeStamps(column, written=True), {})
         try:
-            _, found[column], _ = next(file.all_rows())
+            _, found[column], _ = next(one.all_rows())
         except (InstrumentError, StopIteration):
             continue  # other texts, or no rows
     return found
 
 
-def sensors_in_rows(path: Path, name: str, numbers: Sequence[str], given: Format | None) -> tuple[str, tuple[str, ...]]:
+def of_sensors_alone(file: AnyFile, columns: Sequence[str]) -> AnyFile:
+    """Returns the same file without the rows of other instruments, if the file contains messages of several instruments. `columns`:
+    the columns of numbers."""
+    sensed = [column for column in columns if guessed_channel(column).sensed in ("gyro", "accel")]
+    return file.deciding(sensed) if isinstance(file, JsonFile) and sensed else file
+
+
+def sensors_in_rows(file: AnyFile, numbers: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     """Finds the column of a text file that states which sensor measured the row. Returns this column and the names of the sensors;
     empty if there is no such column. Raises `InstrumentError` if the file cannot be read."""
-    file = open_file(path, name, TimeStamps(None, period=1.0), {}, given)
     if not isinstance(file, TextFile):
         return "", ()
     known = file.columns()[:MOST_COLUMNS]
@@ -403,13 +414,18 @@ def sensors_in_rows(path: Path, name: str, numbers: Sequence[str], given: Format
     return "", ()
 
 
-def opened(path: Path, name: str, columns: Sequence[str], given: Format | None, time: str | None = None) -> AnyFile:
-    """Opens a file with these columns as channels. `time`: a column of dates or times of day. If it is not given, the time is not
-    known yet, and the rows are assumed to be one second apart. Raises `InstrumentError` if the file cannot be read."""
-    stamps = TimeStamps(None, period=1.0) if time is None else TimeStamps(time, written=True)
-    file = open_file(path, name, stamps, {column: column for column in columns}, given)
-    file.about = file.rows_about()
-    return file
+def opened(path: Path, name: str, given: Format | None) -> AnyFile:
+    """Opens a file whose time and channels are not known yet. Raises `InstrumentError` if the file cannot be opened."""
+    return open_file(path, name, _COUNTED, {}, given)
+
+
+def reading(file: AnyFile, columns: Sequence[str], time: str | None = None) -> AnyFile:
+    """Returns the file with these columns as channels. `time`: a column of dates or times of day. If it is not given, the rows are
+    assumed to be one second apart. Raises `InstrumentError` if the file cannot be read."""
+    stamps = _COUNTED if time is None else TimeStamps(time, written=True)
+    made = file.with_channels(stamps, {column: column for column in columns})
+    made.about = made.rows_about()
+    return made
 
 
 def stated_rates(path: Path, name: str, given: Format | None) -> tuple[StatedRate, ...]:
