@@ -165,6 +165,22 @@ def test_an_error_of_a_meter_moves_coefficients_as_the_budget_states(key: str) -
     assert {"gyro_bias_x", "accel_bias_z"} <= seen
 
 
+@pytest.mark.parametrize("channel", ["supply_voltage", "ambient_pressure"])
+def test_a_meter_with_the_wrong_sign_is_reported(channel: str) -> None:
+    """Without it, the amplitudes that follow the channel would have the wrong sign, and the biases would be far from the truth."""
+    told = CAMPAIGNS["error_model, supply and pressure"]
+    sound, (_, made) = (
+        known(told, WORLDS["white noise"]),
+        recorded(told, WORLDS["white noise"], np.random.default_rng(13)),
+    )
+    values = made.values * np.where([name == channel for name in told.channels], -1, 1)
+    for one, expected in ((made, 0), (replace(made, values=values), 1)):
+        found = estimated(told, sound, one)
+        assert not isinstance(found, str)
+        warned = [text for text in found.warnings if f"The readings of {channel} have the opposite sign" in text]
+        assert len(warned) == expected, found.warnings
+
+
 def test_what_only_the_recording_shows_is_not_predicted() -> None:
     """The weather changes the pressure, and no plan knows it."""
     plan = text('supply_voltage: "11, 13 V"', "    pressure_channel: ambient_pressure")

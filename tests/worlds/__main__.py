@@ -20,7 +20,7 @@ from planrunner.base.findings import InputError
 from planrunner.base.workers import results_in_order
 from planrunner.cli.jobs import add_workers, workers_of
 from tests.worlds.campaigns import CAMPAIGNS
-from tests.worlds.coverage import Batch, Tally, tally_of
+from tests.worlds.coverage import Batch, Tally, tally_of, world_of
 from tests.worlds.faults import WORLDS
 
 AT_ONCE = 25
@@ -88,7 +88,7 @@ def _row(estimator: str, world: str, found: Tally) -> str:
         low, high = min(shares, key=shares.__getitem__), max(shares, key=shares.__getitem__)
         mean, error = found.coverage
         figures = f"{100 * mean:.1f} ± {100 * error:.1f} | {shares[low]:.1f} ({low}) | {shares[high]:.1f}"
-    named = f"{100 * found.named / found.runs:.1f} %" if WORLDS[world].cause else ""
+    named = f"{100 * found.named / found.runs:.1f} %" if world_of(estimator, world).cause else ""
     counts = f"{100 * found.warned / found.runs:.1f} % | {named} | {len(found.failed)}"
     return f"| {estimator} | {world} | {found.runs} | {figures} | {counts} |"
 

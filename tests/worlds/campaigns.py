@@ -6,72 +6,20 @@ written here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.worlds.felt import GRAVITY, LATITUDE, STANDARD_GRAVITY, UPWARD, Felt, Step
+from tests.worlds import temperature_cycles
+from tests.worlds.campaign import SITE, TABLE, Campaign
+from tests.worlds.felt import STANDARD_GRAVITY, UPWARD, Felt, Step
 from tests.worlds.navigation import figures, navigated
 from tests.worlds.platform import AMPLITUDE, FIRST, FREQUENCY, PHASES, RINGS, ROCKED, SECOND, SETTLE, Platform, Sizes
 
 Array = NDArray[np.float64]
-
-
-class Device(Protocol):
-    """truth: coefficient as planrunner names it → value in the unit that it reports."""
-
-    @property
-    def truth(self) -> Mapping[str, float]: ...
-
-    def outputs(self, felt: Felt) -> Array:
-        """(n, k), without noise, in the channels' units."""
-        ...
-
-
-@dataclass(frozen=True)
-class Campaign:
-    """plan, bench: texts; the bench has blanks `{tilt}` in arcsec, `{rate}` in ppm, `{flicker}` and `{count}` by channel. channels:
-    name → unit; white: (k,), of one sample; estimate: name in the plan. unsigned: channels that read nothing but their own constant error,
-    so that a reversed one is a sound channel of another device."""
-
-    plan: str
-    bench: str
-    steps: Sequence[Step]
-    sampling: float
-    channels: Mapping[str, str]
-    white: Array
-    estimate: str
-    device: Callable[[np.random.Generator], Device]
-    declared: float = 1.0  # the unit of the bench's noise, in the channels' unit
-    without: Sequence[str] = ()  # worlds that say nothing of it
-    unsigned: Sequence[str] = ()
-
-    @property
-    def signed(self) -> tuple[int, ...]:
-        """The other channels, by number."""
-        return tuple(k for k, name in enumerate(self.channels) if name not in self.unsigned)
-
-    @property
-    def mean(self) -> Array:
-        """What white noise leaves in the mean of a step of the shortest length, (k,)."""
-        return np.asarray(self.white / np.sqrt(min(step.dwell for step in self.steps) * self.sampling))
-
-
-SITE = f"site: {{{{latitude: {LATITUDE} deg, gravity: {GRAVITY} m/s^2, azimuth: 0 deg}}}}"
-TABLE = """\
-  table:
-    driver: virtual_table
-    axes:
-      - {{name: outer, direction: up, max_rate: 400 deg/s, max_acceleration: 200 deg/s^2}}
-      - {{name: middle, direction: east, max_rate: 200 deg/s, max_acceleration: 100 deg/s^2}}
-      - {{name: inner, direction: north, max_rate: 400 deg/s, max_acceleration: 200 deg/s^2}}
-    position_uncertainty: {tilt} arcsec
-    rate_stability: {rate} ppm
-"""
 
 
 _ROCKING = (
@@ -103,6 +51,12 @@ def _cycle(step: Step) -> str:
     positions = ", ".join(f"{name}: {90 * k} deg" for k, name in enumerate("ABCD"))
     turning = f"moves: [{', '.join(moves)}], turn_rate: {step.rate:g} deg/s, stop: {step.stop:g} s"
     return f"{{cycle: {{{positions}}}, {turning}}}"
+
+
+_OF_THE_TABLE = ("positions 5 arcsec, stated", "rates 10 ppm, stated", "positions and rates anew at each step")
+"""Worlds in which the table is wrong."""
+_ANEW = _OF_THE_TABLE[-1:]
+"""Says nothing more where no position and no rate is repeated."""
 
 
 # Eight positions of a flexure gyro ------------------------------------------------------------------------------------
@@ -172,6 +126,7 @@ instruments:
     0.9 * np.sqrt(50.0) * np.ones(2),
     "drift",
     FlexureGyro,
+    without=_ANEW,
 )
 
 
@@ -224,6 +179,7 @@ instruments:
     _GYRO_WHITE * np.sqrt(50.0) * np.ones(1),
     "line",
     RateGyro,
+    without=_ANEW,  # its positions do not matter
 )
 
 
@@ -484,6 +440,7 @@ instruments:
     _UNIT_WHITE[3:] * np.sqrt(50.0),
     "triad",
     Triad,
+    without=_ANEW,
 )
 
 
@@ -615,11 +572,8 @@ RESTING = Campaign(
     RATES.white,
     "noise",
     RestingGyro,
-    without=(
-        "positions 5 arcsec, stated",
-        "rates 10 ppm, stated",
-        "reversed channel",
-    ),  # none of them changes the noise
+    without=(*_OF_THE_TABLE, "reversed channel"),  # none of them changes the noise
+    causes={"20 Hz line": "periodic disturbance", "rounding carried over": "rounded"},
 )
 
 
@@ -694,7 +648,7 @@ instruments:
         "free",
         partial(NavigatingUnit, step=step),
         # Both steps have one position. No rate is held. At 10 Hz, vibration at 20 Hz is a constant.
-        without=("positions 5 arcsec, stated", "rates 10 ppm, stated", "20 Hz line"),
+        without=(*_OF_THE_TABLE, "20 Hz line"),
         # Its axes stay level, and at rest its x points east.
         unsigned=("accel_x", "accel_y") if step.moves else ("gyro_x", "accel_x", "accel_y"),
     )
@@ -756,10 +710,23 @@ instruments:
         partial(Platform, steps=_ROCKING_STEPS, installation=tuple(_INSTALLED.values())),
         without=(
             "flicker, declared",
-            "positions 5 arcsec, stated",
-            "rates 10 ppm, stated",
+            *_OF_THE_TABLE,
             "counts of 5 times the noise",
         ),
+    )
+
+
+# Temperature cycles ---------------------------------------------------------------------------------------------------
+
+
+def _temperature_cycles(cycles: int) -> Campaign:
+    """At rest at one position, sampled once a second: 20 Hz are a constant. With the wrong sign it is a sound gyro of another bias and
+    slope. While the temperature changes, its rounding errors average out."""
+    return replace(
+        temperature_cycles.campaign(cycles, ", order: 2"),
+        celsius=temperature_cycles.course(cycles),
+        without=(*_OF_THE_TABLE, "temperature drift, recorded", "20 Hz line", "reversed channel"),
+        causes={"counts of 5 times the noise": ""},
     )
 
 
@@ -772,6 +739,8 @@ CAMPAIGNS: Mapping[str, Campaign] = {
     "accelerometer_multi_position": TRIAD,
     "scale_factor_tilted": TILTED,
     "scale_factor_tilted, within segments": TILTED_WITHIN,
+    "temperature_model, one cycle": _temperature_cycles(1),
+    "temperature_model, two cycles": _temperature_cycles(2),
     "allan_deviation": RESTING,
     "strapdown_navigation at rest": _navigation(_AT_REST),
     "strapdown_navigation from stop to stop": _navigation(_CARRIED_ROUND),

@@ -84,16 +84,26 @@ def known(campaign: Campaign, world: World) -> Sound:
 def recorded(campaign: Campaign, world: World, draw: np.random.Generator) -> tuple[dict[str, float], Recorded]:
     """A device's truth, and what it puts out in this world."""
     device = campaign.device(draw)
-    tilts = world.tilt * draw.standard_normal((len(campaign.steps), 3)) if world.tilt else None
-    rates = world.rate * draw.standard_normal(len(campaign.steps)) if world.rate else None
-    seen = felt(campaign.steps, campaign.sampling, tilts, rates)
+    steps = campaign.steps
+    tilts = world.tilt * draw.standard_normal((len(steps), 3)) if world.tilt else None
+    rates = world.rate * draw.standard_normal(len(steps)) if world.rate else None
+    if not world.anew:
+        tilts = None if tilts is None else tilts[_first([step.axes for step in steps])]
+        rates = None if rates is None else rates[_first([step.rate for step in steps])]
+    seen = felt(steps, campaign.sampling, tilts, rates)
     values = device.outputs(seen) + campaign.white * draw.standard_normal((len(seen.time), len(campaign.white)))
     share = (seen.time - seen.time[0]) / (seen.time[-1] - seen.time[0])
-    celsius = None if world.celsius is None else world.celsius(share)
+    course = world.celsius or campaign.celsius
+    celsius = None if course is None else course(share)
     made = Recorded(
         seen.time, seen.step, values, campaign.white, campaign.mean, campaign.sampling, celsius, campaign.signed
     )
     return dict(device.truth), made if world.fault is None else replace(made, values=world.fault(made, draw))
+
+
+def _first(states: Sequence[object]) -> list[int]:
+    """For each state, the number of the first one that is equal to it."""
+    return [states.index(one) for one in states]
 
 
 def estimated(campaign: Campaign, sound: Sound, made: Recorded) -> Estimate | str:
@@ -134,7 +144,13 @@ class Batch:
 def tally_of(seed: int, batch: Batch) -> Tally:
     """With one thread of linear algebra, so that the digits do not depend on the processors."""
     with threadpool_limits(limits=1, user_api="blas"):
-        return tally(CAMPAIGNS[batch.campaign], WORLDS[batch.world], batch.runs, seed, batch.first)
+        return tally(CAMPAIGNS[batch.campaign], world_of(batch.campaign, batch.world), batch.runs, seed, batch.first)
+
+
+def world_of(campaign: str, world: str) -> World:
+    """With the cause that this campaign can name."""
+    asked = WORLDS[world]
+    return replace(asked, cause=CAMPAIGNS[campaign].causes.get(world, asked.cause))
 
 
 def tally(campaign: Campaign, world: World, runs: int, seed: int, first: int = 0) -> Tally:

@@ -42,7 +42,8 @@ class World:
     """stated: what the bench file says of it, by the name of the blank in a campaign's bench; `flicker` is in units of `Recorded.mean`.
     celsius: temperature of the sensor at a share of the test, which a thermometer records. warns: the model is wrong in a way that cannot
     be mended, so that a warning is what is asked for, not coverage. cause: words of a warning that names what is wrong. silent: the bench
-    file gives no flicker at all, not even that there is none."""
+    file gives no flicker at all, not even that there is none. anew: every step has its own errors of position and rate; otherwise a
+    position or a rate has the same error each time, as planrunner's documents say of what a bench file declares."""
 
     fault: Fault | None = None
     tilt: float = 0.0  # rad, standard uncertainty of an orientation about each axis
@@ -53,6 +54,7 @@ class World:
     warns: bool = False
     cause: str = ""
     silent: bool = False
+    anew: bool = False
 
 
 def flicker(made: Recorded, draw: np.random.Generator, size: float) -> Array:
@@ -200,6 +202,7 @@ WORLDS: Mapping[str, World] = {
     "temperature drift, recorded": World(_following, celsius=_laboratory, cause="temperature"),
     "positions 5 arcsec, stated": World(tilt=5 * ARCSEC),
     "rates 10 ppm, stated": World(rate=10e-6),
+    "positions and rates anew at each step": World(tilt=5 * ARCSEC, rate=10e-6, anew=True),
     "counts of 5 times the noise": World(_counts(5.0), count=5.0, cause="too small for counts"),
     "rounding carried over": World(_fed_back),
     "one spike": World(_spike, cause="Bad samples"),

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.worlds.campaigns import SITE, TABLE, Campaign
+from tests.worlds.campaign import SITE, TABLE, Campaign
 from tests.worlds.faults import Fault, Recorded, World, flicker
 from tests.worlds.felt import UPWARD, Felt, Step
 

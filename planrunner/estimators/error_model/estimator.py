@@ -221,6 +221,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
                 notes.setdefault(note, []).append(one.model.name)
             warnings += judged.warnings
         warnings += _contradictions(request, made.outputs)
+        warnings += _reversed_meters(request)
         warnings += [text for one in made.outputs for text in _of_samples(one)]
         warnings += _disagreement(request, made)
         every = len(made.outputs)
@@ -292,6 +293,28 @@ def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParamet
     }
     followed = (part.effect.follows for part in one.errors.chosen if isinstance(part.effect, FollowsSurroundings))
     return [name.value for name in dict.fromkeys(followed) if channels[name] is not None and not stated[name]]
+
+
+def _reversed_meters(request: EstimateRequest[ErrorModelParameters]) -> list[Said]:
+    """Returns warnings about meters for supply voltage and pressure whose readings have the wrong sign. The gain of a meter is fitted
+    to its readings at the values that the plan states, through the origin. Its sign is the sign of Σ (reading · stated value)."""
+    planned = [one.segment for one in request.segments]
+    nominal = request.sensor.nominal_supply
+    stated = states_of(planned, np.zeros(len(planned)), np.ones(len(planned)), nominal)
+    read = _recorded_states(request.segments, request.parameters, nominal)
+    meters = (
+        (request.parameters.supply_channel, read.overvoltage, stated.overvoltage, nominal),
+        (request.parameters.pressure_channel, read.overpressure, stated.overpressure, STANDARD_PRESSURE),
+    )
+    return [
+        said(
+            "The readings of {channel} have the opposite sign of the values that the plan states, so the effects that follow "
+            "this channel are wrong. Check the sign and the terminals of the meter, and its channel in the bench file.",
+            channel=channel,
+        )
+        for channel, reading, value, reference in meters
+        if channel is not None and (reading + reference) @ (value + reference) < 0
+    ]
 
 
 def _recorded_states(
