@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -173,6 +174,36 @@ def test_a_jump_of_the_clock_is_remarked(tmp_path):
     change(tmp_path, time_s=jump)
     (said,) = look(tmp_path)
     assert "warning[gap-clock]: time jumps within 'P1': by 0.72 s in 'P1'" in said
+
+
+def leave_out(folder: Path, rows: Iterable[int]) -> None:
+    table = pq.read_table(folder / "recording.parquet")
+    kept = np.delete(np.arange(table.num_rows), np.array(list(rows)))
+    pq.write_table(table.take(kept), folder / "recording.parquet")
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (range(150, 300, 2), "the sample rate changes within 'P1': from the declared 50 Hz to about 25 Hz in 'P1'"),
+        (
+            [k for k in range(200, 300) if k % 5],
+            "the sample rate changes within 'P1': from the declared 50 Hz to about 10 Hz",
+        ),
+        (range(100, 150), "time jumps within 'P1': by 1.02 s in 'P1'"),
+        ([*range(50, 80), *range(150, 180)], "time jumps within 'P1': by 0.62 s in 'P1'"),
+        (range(10, 300, 30), "time jumps within 'P1': by 0.04 s in 'P1'"),
+        (range(1, 300, 2), "'P1' not sampled at the declared 50 Hz"),
+    ],
+)
+def test_a_change_of_the_rate_is_no_jump_of_time(tmp_path, rows, said):
+    """Half of the segment at half the rate, its last third at a fifth; one gap and two gaps; 3 % of the samples lost one by one; and a
+    segment at half the rate throughout."""
+    laboratory(tmp_path)
+    replace(tmp_path / "plan.yaml", "dwell: 6 s", "dwell: recorded")
+    leave_out(tmp_path, rows)
+    (found,) = look(tmp_path)
+    assert f"warning[gap-clock]: {said}" in found
 
 
 def test_another_sample_rate_is_remarked(tmp_path):

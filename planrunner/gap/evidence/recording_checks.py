@@ -11,7 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from planrunner.archive.recording import RecordedSegment, in_time_order
+from planrunner.archive.recording import RecordedSegment, Statistics, in_time_order
 from planrunner.base.arrays import Array
 from planrunner.base.findings import Findings, Mark, count_of
 from planrunner.error_model.observed import Observed
@@ -24,6 +24,8 @@ INTERVALS = 1.5
 """A step in time longer than this many sample intervals is a gap; shorter ones are jitter."""
 RATE_TOLERANCE = 0.1
 """Relative deviation from the declared sample rate above which a segment has a wrong clock."""
+MOST_JUMPS = 10
+"""Number of equally long steps in a segment above which these steps show another sample rate, and not lost samples."""
 PRESENT = 0.9
 """Fraction of the planned dwell below which a segment is short; fraction of usable rows below which it is poor."""
 STIRRED = {"gyro": np.radians(1.0), "accel": 0.1 * STANDARD_GRAVITY}
@@ -334,22 +336,43 @@ def _check_length(recording: Sequence[RecordedSegment], mark: Mark, log: Finding
 
 
 def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Mark, log: Findings) -> None:
-    gaps, other = [], []
+    gaps, changes, other = [], [], []
     for item in recording:
         known = item.statistics
         rate = item.segment.sample_rate or declared
         rows = known.count + known.rejected
+        steps_off = rows > 2 and abs(known.duration * rate / rows - 1) > RATE_TOLERANCE
         if known.largest_gap * rate > INTERVALS and not known.rejected:
-            gaps.append((item.label, known.largest_gap))
-        elif rows > 2 and abs(known.duration * rate / rows - 1) > RATE_TOLERANCE:
+            if known.largest_gap < INTERVALS * known.period:
+                other.append(item.label)
+            elif steps_off and _long_steps(known, rate) > MOST_JUMPS:
+                changes.append((item.label, 1 / known.largest_gap))
+            else:
+                gaps.append((item.label, known.largest_gap))
+        elif steps_off:
             other.append(item.label)
     if gaps:
         label, gap = max(gaps, key=lambda pair: pair[1])
         message = f"time jumps within {_named([name for name, _ in gaps])}: by {gap:.3g} s in '{label}'"
         log.warning("gap-clock", mark, message, "samples were lost or the clock was set: check the logger")
+    if changes:
+        label, slowest = min(changes, key=lambda pair: pair[1])
+        message = (
+            f"the sample rate changes within {_named([name for name, _ in changes])}: from the declared {declared:g} Hz to about "
+            f"{slowest:.3g} Hz in '{label}'"
+        )
+        hint = "check the settings of the logger, or let the segments end where the rate changes"
+        log.warning("gap-clock", mark, message, hint)
     if other:
         message = f"{_named(other)} not sampled at the declared {declared:g} Hz"
         log.warning("gap-clock", mark, message, "correct `sample_rate` in the bench file, or check the logger's clock")
+
+
+def _long_steps(known: Statistics, rate: float) -> float:
+    """Returns the number of steps like the largest one that explain the number of samples of a segment. `rate`: sample rate [Hz] of
+    the other steps."""
+    missing = (known.end - known.start) * rate - (known.count - 1)
+    return missing / (known.largest_gap * rate - 1)
 
 
 def _check_ranges(recording: Sequence[RecordedSegment], sensor: SensorModel, mark: Mark, log: Findings) -> None:
