@@ -196,8 +196,9 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
     for output, noise, width, own in zip(fit.outputs, fit.noises, fit.between, fit.spreads, strict=True):
         if width:
             scattering = said(
-                "{output}: {width:.3g} (standard deviation, in the output's unit) is added as scatter between segments "
-                "in the weights, because the noise within the segments does not explain the residuals.",
+                "{output}: the noise within the segments does not explain the residuals. Therefore, the weights "
+                "include scatter between segments with a standard deviation of {width:.3g} (in the unit of the "
+                "output).",
                 output=output,
                 width=width,
             )
@@ -221,8 +222,8 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
     warnings += [_outlying(fit, one, basis) for one in agreeing.outliers]
     if agreeing.unchecked:
         hardly = said(
-            "An error in one of the segments {segments} would hardly be noticed, because less than {share:.0f} "
-            "% of it appears in the residuals: repeat these segments to confirm them.",
+            "An error in one of the segments {segments} would hardly be noticed, because less than {share:.0f} % of "
+            "the error appears in the residuals. Repeat these segments to confirm them.",
             segments=agreeing.unchecked,
             share=100 * LEAST_REDUNDANCY,
         )
@@ -252,8 +253,8 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
         if drift.judged:
             return DriftWords(warnings=(*suspected, *doubted))
         hidden = said(
-            "{outputs}: a drift during the test cannot be distinguished from the coefficients or from scatter, so none is "
-            "fitted: repeat the first segment at the end, or add segments.",
+            "{outputs}: a drift during the test cannot be distinguished from the coefficients or from scatter, so "
+            "no drift is fitted. Repeat the first segment at the end, or add segments.",
             outputs=fit.outputs,
         )
         return DriftWords((hidden,), suspected)
@@ -269,12 +270,12 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
     spreads = np.sqrt(np.diag(fit.covariance(basis))).reshape(fit.coefficients.shape)
     shares = _shares(fit, drift.explained)
     seen = said(
-        "The outputs seem to drift during the test: a drift ({drifts}) explains {shares} of the scatter about "
-        "the model. A term that is missing from the model looks like a drift if its effect increases or "
-        "decreases in the order of the segments. The drift is fitted together "
-        "with the coefficients; without it a coefficient would change by {moved:.2g} standard uncertainties. The coefficients "
-        "are averages over the recorded time of the test. Write `drift: {written}` to confirm the drift, or `drift: none` to "
-        "leave it out.",
+        "The outputs seem to drift during the test: a drift ({drifts}) explains {shares} of the scatter about the "
+        "model. A term that is missing from the model can also look like a drift, if its effect increases or "
+        "decreases in the order of the segments. The drift is fitted together with the coefficients. Without the "
+        "drift, a coefficient would change by {moved:.2g} standard uncertainties. The coefficients are averages "
+        "over the recorded time of the test. Write `drift: {written}` to confirm the drift, or `drift: none` to "
+        "exclude it.",
         drifts=names,
         shares=shares,
         moved=float(np.max(np.abs(fit.coefficients - drift.without) / spreads)),
@@ -308,9 +309,10 @@ def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
 def _doubted(fit: OutputsFit, found: DoubtedDrift) -> Said:
     """Returns a warning about a drift that is included in the uncertainties, although it is not fitted."""
     return said(
-        "{outputs}: the segments neither show nor exclude a drift ({drift}; probability by chance: {chance:.2g}). It is not fitted, and "
-        "the uncertainties include the change of the coefficients that it would cause. To find out whether there is a drift, repeat "
-        "the first segment at the end. Write `drift: none` if there is no drift.",
+        "{outputs}: the segments neither show nor exclude a drift ({drift}; probability by chance: {chance:.2g}). "
+        "The drift is not fitted, but the uncertainties include the change of the coefficients that it would cause. "
+        "To find out whether there is a drift, repeat the first segment at the end. Write `drift: none` if there is "
+        "no drift.",
         outputs=fit.outputs,
         drift=found.course.name,
         chance=found.probability,
@@ -330,11 +332,11 @@ def _included(fit: OutputsFit, found: DoubtedDrift) -> Said:
 def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArray[np.float64]) -> Said:
     """Returns a warning about residuals that come either from a drift or from a nonlinearity."""
     return said(
-        "The residuals look like a drift during the test ({drifts}), but a nonlinearity of the outputs explains "
-        "them as well: the square of the output explains {shares} of the scatter about the model. Neither of "
-        "the two is fitted, so the coefficients may contain a part of the drift or of the nonlinearity. Write "
-        "`drift: {written}` to fit the drift, `drift: none` to exclude it, or estimate the nonlinearity with "
-        "{estimator}. To find out which of the two is true, repeat the first segment at the end.",
+        "The residuals look like a drift during the test ({drifts}), but a nonlinearity of the outputs also "
+        "explains them: the square of the output explains {shares} of the scatter about the model. Neither is "
+        "fitted, so the coefficients may contain a part of the drift or of the nonlinearity. To find out which "
+        "explanation is true, repeat the first segment at the end. Write `drift: {written}` to fit the drift, "
+        "`drift: none` to exclude it, or estimate the nonlinearity with {estimator}.",
         drifts=_named(courses),
         shares=_shares(fit, nonlinear),
         written=_written(courses),
@@ -362,10 +364,11 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
     k, p = found.output, fit.matrix.shape[1]
     spread = float(np.sqrt(np.diag(fit.covariance(basis))[k * p + found.term]))
     return said(
-        "The outputs may drift during the test: fitted together with the coefficients, a drift ({drift}) would change "
-        "{coefficient} of {output} by {change:.2g} standard uncertainties (probability by chance: {chance:.2g}). This evidence is "
-        "too weak to fit the drift, {consequence}. Write `drift: {drift}` to fit it, or "
-        "`drift: none` to exclude it. To find out which is true, repeat the first segment at the end.",
+        "The outputs may drift during the test. If a drift ({drift}) were fitted together with the coefficients, "
+        "{coefficient} of {output} would change by {change:.2g} standard uncertainties (probability by chance: "
+        "{chance:.2g}). This evidence is too weak to fit the drift, {consequence}. Write `drift: {drift}` to fit "
+        "the drift, or `drift: none` to exclude it. To find out whether there is a drift, repeat the first segment "
+        "at the end.",
         drift=name,
         coefficient=found.name,
         output=output,
@@ -378,16 +381,17 @@ def _suspected(fit: OutputsFit, found: SuspectedDrift, basis: str) -> Said:
 def _consequence(fit: OutputsFit, found: SuspectedDrift) -> Said:
     """Returns a clause that states whether the uncertainties include a drift that was not fitted."""
     if fit.drift.doubts(found.course):
-        return said("but the uncertainties include the change that it would cause")
-    return said("so no uncertainty includes it")
+        return said("but the uncertainties include the change that the drift would cause")
+    return said("so no uncertainty includes the drift")
 
 
 def _size(found: SuspectedDrift) -> Said:
     """Returns a clause that states how the uncertainty of the coefficient would change if the drift were fitted."""
     if not np.isfinite(found.growth):
-        return said("these segments cannot separate the two at all")
+        return said("with these segments, the two cannot be separated at all")
     return said(
-        "fitted together with the coefficients, it would make the standard uncertainty {growth:.2g} times as large",
+        "if the drift were fitted together with the coefficients, the standard uncertainty would be {growth:.2g} "
+        "times as large",
         growth=found.growth,
     )
 
@@ -404,15 +408,17 @@ def _exceeding(found: BasisComparison, basis: str) -> Said:
     values: dict[str, str | float] = {"output": found.output, "ratio": found.ratio, "chance": found.probability}
     if basis == "within_segment":
         return said(
-            "{output}: residual variance is {ratio:.3g} times that expected from the noise within the segments and the "
-            "declared inputs (probability by chance: {chance:.2g}). Something changes from segment to segment (positions or "
-            "a slow drift), or the model is incomplete: the within-segment uncertainties are too small.",
+            "{output}: the residual variance is {ratio:.3g} times the variance expected from the noise within the "
+            "segments and the declared inputs (probability by chance: {chance:.2g}). Either something changes from "
+            "segment to segment (positions or a slow drift), or the model is incomplete. The within-segment "
+            "uncertainties are too small.",
             **values,
         )
     return said(
-        "{output}: residual variance is {ratio:.3g} times that expected from the noise within the segments and the "
-        "declared inputs (probability by chance: {chance:.2g}). Something changes from segment to segment (positions or a "
-        "slow drift), or the model is incomplete: use the residual basis.",
+        "{output}: the residual variance is {ratio:.3g} times the variance expected from the noise within the "
+        "segments and the declared inputs (probability by chance: {chance:.2g}). Either something changes from "
+        "segment to segment (positions or a slow drift), or the model is incomplete. Only uncertainties that "
+        "are based on the residuals are valid.",
         **values,
     )
 
@@ -422,10 +428,10 @@ def _outlying(fit: OutputsFit, found: Outlier, basis: str) -> Said:
     spreads = np.sqrt(np.diag(fit.covariance(basis))[k * p : (k + 1) * p])
     moved = float(np.max(np.abs(found.changes) / spreads))
     return said(
-        "Segment '{segment}' does not fit the others: the mean of {output} lies {error:.3g} {unit} from the value expected "
-        "from the others ({deviations:.3g} standard deviations; probability by chance: {chance:.2g}). Without "
-        "this segment, a coefficient changes by {change:.2g} standard uncertainties: check the label, the "
-        "planned state and the data of the segment.",
+        "Segment '{segment}' does not fit the other segments: the mean of {output} differs by {error:.3g} {unit} "
+        "from the value that they predict ({deviations:.3g} standard deviations; probability by chance: "
+        "{chance:.2g}). Without this segment, a coefficient changes by {change:.2g} standard uncertainties. Check "
+        "the label, the planned state and the data of the segment.",
         segment=found.label,
         output=found.output,
         error=found.error,

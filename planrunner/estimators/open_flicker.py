@@ -78,10 +78,11 @@ def _warning(found: Sequence[OpenFlicker]) -> Said:
     )
     worst = max(found, key=lambda one: one.widening)
     return said(
-        "The bench file gives no bias instability for {outputs}, and the data do not exclude flicker noise with a coefficient B of up "
-        "to {bounds}, each with a probability of {share:.0f} %. The uncertainties do not include this flicker. With flicker of this "
-        "size, the 95 % interval of {coefficient} would have to be {widening:.2g} times as wide. Write `bias_instability` in the bench "
-        "file, from the data sheet or an Allan deviation; write 0 if the noise is known to be white.",
+        "The bench file gives no bias instability for {outputs}. The data only show that the coefficient B of "
+        "flicker noise is at most {bounds}, each with a probability of {share:.0f} %. The uncertainties do not "
+        "include this flicker. With flicker of this size, the 95 % interval of {coefficient} would have to be "
+        "{widening:.2g} times as wide. Write `bias_instability` in the bench file, from the data sheet or an Allan "
+        "deviation; write 0 if the noise is known to be white.",
         outputs=tuple(one.channel for one in found),
         bounds=bounds,
         share=100 * CREDIBLE,

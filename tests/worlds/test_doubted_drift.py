@@ -85,7 +85,7 @@ def test_a_temperature_that_looks_like_coefficients_is_an_error_that_is_not_corr
             together = np.hypot(fitted[item.name].standard_uncertainty, change)
             assert item.standard_uncertainty == pytest.approx(together, rel=1e-6)
     [text] = [text for text in found.warnings if "hard to distinguish from" in text]
-    assert "but the uncertainties include the change that it would cause" in text
+    assert "but the uncertainties include the change that the drift would cause" in text
 
 
 def test_a_temperature_that_leaves_no_residuals_is_in_the_uncertainty() -> None:
@@ -111,7 +111,7 @@ def test_a_temperature_that_leaves_no_residuals_is_in_the_uncertainty() -> None:
             together = np.hypot(without[item.name].standard_uncertainty, np.sqrt(2) * change)
             assert item.standard_uncertainty == pytest.approx(together, rel=1e-6)
     [text] = [text for text in found.warnings if "hard to distinguish from" in text]
-    assert "but the uncertainties include the change that it would cause" in text
+    assert "but the uncertainties include the change that the drift would cause" in text
 
 
 def in_another_order() -> Campaign:
@@ -140,7 +140,7 @@ def test_a_temperature_that_rises_evenly_is_the_same_drift_as_the_time() -> None
         doubts += 1
         assert in_doubt[0] in with_drift("", replace(made, celsius=None), base=by_z).warnings  # the same probability
         [text] = [text for text in found.warnings if "hard to distinguish from" in text]
-        assert "but the uncertainties include the change that it would cause" in text
+        assert "but the uncertainties include the change that the drift would cause" in text
         for item in found.coefficients:
             if item.name[0] in "UV":
                 change = linear[item.name].value - without[item.name].value

@@ -441,9 +441,9 @@ def _describe_gaps(result: _Result, phase: Phase) -> None:
         share = 100 * phase.lost / max(1, phase.samples)
         result.notes.append(
             said(
-                "{name}: {missing} samples are missing; {bridged} of them were filled by linear interpolation, "
-                "and {gaps} gaps split the record into {stretches} usable stretches ({share:.2g} % of the "
-                "samples are in stretches that are too short). No difference is taken across a gap.",
+                "{name}: {missing} samples are missing; {bridged} of them were filled by linear interpolation. The "
+                "other gaps ({gaps}) divide the record into {stretches} usable stretches; {share:.2g} % of the "
+                "samples are in stretches that are too short. No difference is taken across a gap.",
                 name=result.name,
                 missing=phase.missing,
                 bridged=phase.bridged,

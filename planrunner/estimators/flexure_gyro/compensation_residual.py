@@ -56,9 +56,10 @@ _DEG_H = unit("deg/h").factor
 _NO_SET = "'{}' is not a set of the twelve static coefficients: `uses` names flexure_gyro_static estimates without product terms"
 _SUMS = "Ratios of the residual sums of squares, measured and expected"
 _CLAIM = said(
-    "The publication that describes this method claims that the residual sum of squares with the traditional positions is 4 to 8 times "
-    "that with the optimal positions. The expected ratios given here assume equal noise in all positions; the ratios of single "
-    "experiments with few verification positions scatter widely about them."
+    "The publication that describes this method compares the residual sums of squares: it claims that the sum with "
+    "the traditional positions is 4 to 8 times the sum with the optimal positions. The expected ratios given here "
+    "assume equal noise in all positions. In single experiments with few verification positions, the ratio can "
+    "differ greatly from the expected one."
 )
 
 

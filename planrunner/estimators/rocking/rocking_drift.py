@@ -260,9 +260,9 @@ def _notes(
     if any(len(state.quadruples) == 1 for state in states):
         notes.append(
             said(
-                "With only one quadruple in a state, the uncertainty is based on the difference between its two static runs "
-                "and between its two dynamic runs, with one degree of freedom; use `repeat` to record more quadruples for a "
-                "narrower interval."
+                "Some states have only one quadruple. Their uncertainty is based on the differences between the two "
+                "static runs and between the two dynamic runs, and has one degree of freedom. Use `repeat` to "
+                "record more quadruples for a narrower interval."
             )
         )
     missing = [AXES[axis] for axis in range(3) if all(axis not in state.level for state in states)]

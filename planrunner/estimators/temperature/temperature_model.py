@@ -601,8 +601,8 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
     if not parameters.channels:
         found.append(
             said(
-                "Influences common to the values at all temperatures, such as a fixture's angle, are included in the "
-                "uncertainties of the estimates used, but not in those of this curve."
+                "Some influences, such as the angle of a fixture, are common to the values at all temperatures. The "
+                "uncertainties of these values include them, but the uncertainties of this curve do not."
             )
         )
     elif one.points.covariance is not None:
@@ -704,7 +704,8 @@ def _warnings(one: Modelled) -> list[Said]:
         label, _ = _label(fit.curve.form, points.name, points.unit, one.hidden.power)
         size = (
             said(
-                "fitted together with the curve, it would make the standard uncertainty {growth:.2g} times as large",
+                "if the drift were fitted together with the curve, the standard uncertainty would be {growth:.2g} "
+                "times as large",
                 growth=one.hidden.growth,
             )
             if np.isfinite(one.hidden.growth)
