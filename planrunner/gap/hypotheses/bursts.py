@@ -1,8 +1,8 @@
 """Finds bursts: windows of a few seconds with a shifted bias or with larger noise, at random times in a run.
 
-Every window contains a burst with the same small probability. Windows are cut from the remainder of the samples, outside the span
-of the coefficients, so a part of each burst is missing. A deviation that appears in most windows of segments of equal length is
-slow noise, not a burst.
+Every window contains a burst with the same small probability. The windows are parts of the remainder: the samples minus the
+components that the coefficients represent. Therefore, a part of each burst is missing. A deviation that appears in most windows of
+segments of equal length is slow noise, not a burst.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _DEVIATION = 0.6745  # median absolute deviation of a normal variable
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows that have the same number of samples.
+    """A set of windows with the same number of samples.
 
     `starts`: array of shape (W,), first sample of each window. `lasting`: array of shape (W,), number of samples of the segment to
     which each window belongs. `kept`: array of shape (W,), fraction of the energy of a constant bias in the window that the
-    coefficients do not take up.
+    coefficients do not absorb.
     """
 
     starts: NDArray[np.int64]
@@ -62,13 +62,13 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
 
 
 def _summed(values: Array) -> Array:
-    """Cumulative sums (N + 1, K) of the samples; the first sum is zero."""
+    """Returns the cumulative sums of the samples, shape (N + 1, K). The first sum is zero."""
     return np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
 
 
 def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
-    """Divides every segment at rest or turning into whole windows of `size` samples, the first of which starts at the sample
-    `begin` of the segment. `within`: for each basis, the cumulative sums of its vectors."""
+    """Divides every segment at rest or turning into whole windows of `size` samples. The first window starts at the sample `begin`
+    of the segment. `within`: for each basis, the cumulative sums of its vectors."""
     observed, spectrum = weighing.observed, weighing.spectrum
     starts, lasting, kept = [], [], []
     known: dict[int, Array] = {}
@@ -96,7 +96,7 @@ def _evidence(
 ) -> Array:
     """Returns the log Bayes factor of bursts, from windows of one size, shape (scopes,). `both`: cumulative sums of the samples in
     units of the noise, and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which
-    coloured noise makes the degrees of freedom of a sum of squares smaller."""
+    coloured noise reduces the degrees of freedom of a sum of squares."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size
@@ -117,21 +117,21 @@ def _evidence(
 
 
 def _overdispersion(energy: Array, degrees: float) -> Array:
-    """Overdispersion (K,) of the energies (W, K) of windows: their variance divided by 2·degrees, which is the variance for white
-    noise. It exceeds 1 because the level of real noise always varies a little. The variance is computed from the median absolute
-    deviation, which bursts in a few windows do not increase."""
+    """Returns the overdispersion of the energies (W, K) of windows, shape (K,). It is the variance of the energies divided by their
+    variance for white noise, which is 2·degrees. It exceeds 1 because the level of real noise always varies a little. The variance
+    is computed from the median absolute deviation, which bursts in a few windows do not increase."""
     spread = np.median(np.abs(energy - np.median(energy, axis=0)), axis=0) / _DEVIATION
     return np.asarray(spread**2 / (2 * degrees))
 
 
 def _larger(energy: Array, degrees: float, added: Array) -> Array:
-    """Returns the log Bayes factor that the variance is 1 + a instead of 1, for each value a of `added`, shape (W, K, E). `energy`:
-    array of shape (W, K), energies with the given degrees of freedom."""
+    """Returns the log Bayes factor of the variance 1 + a relative to the variance 1, for each value a of `added`, shape (W, K, E).
+    `energy`: array of shape (W, K), energies with the given degrees of freedom."""
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
 def _here_and_there(windows: Array) -> float:
-    """Returns the log Bayes factor of the hypothesis that every window has the same small probability of containing a burst,
-    against no bursts. `windows`: array of shape (W, E), log Bayes factor of a burst in each window at each energy."""
+    """Returns the log Bayes factor of bursts relative to no bursts. With bursts, every window has the same small probability of
+    containing one. `windows`: array of shape (W, E), log Bayes factor of a burst in each window at each energy."""
     each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
     return float(log_mean_exp(np.array(each).ravel(), 0))

@@ -1,5 +1,5 @@
-"""Evaluates candidates: the evidence for each form of every effect, and the fraction of the effect's energy that the nominal
-parameters do not absorb."""
+"""Evaluates the candidates. For each form of every effect, it computes the evidence, and the fraction of the effect's energy that
+the nominal parameters do not absorb."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 
 @dataclass(frozen=True)
 class Weighed:
-    """Contains a variant after whitening and evaluation; its columns no longer contain samples. `gram` (G, p, p) and `score` (G, p)
-    are computed at each of the G settings of the noise.
+    """Contains a variant of an effect after whitening and evaluation. Its columns no longer contain samples. `gram` (G, p, p) and
+    `score` (G, p) are computed at each of the G settings of the noise.
 
     `trace`: energy of the columns after projection, at the first setting. `kept`: ratio of this energy to the energy before
     projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before whitening and
@@ -68,8 +68,8 @@ class Weighed:
 
     @cached_property
     def log_bayes(self) -> Array:
-        """Returns the log Bayes factor at each setting of the noise, shape (G,). It is averaged over the energy λ of the effect;
-        for a held amplitude, it is computed near the amplitude 1."""
+        """Returns the log Bayes factor at each setting of the noise, shape (G,). A free amplitude is averaged over the energy λ of
+        the effect. An amplitude that physics fixes is kept near 1."""
         if self.held:
             return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
         return self.if_possible(log_bayes_factors(self.gram, self.score, self.trace))
@@ -88,8 +88,8 @@ class Weighed:
 
     @cached_property
     def log_possible(self) -> float:
-        """Returns the logarithm of the probability that every amplitude is physically possible. It is negative or zero. Its sum
-        with the log Bayes factor of a prior without limits is the log Bayes factor of a prior with the physical limits."""
+        """Returns the logarithm of the probability that every amplitude is physically possible; it is negative or zero. The log
+        Bayes factor for a prior without limits, plus this value, is the log Bayes factor for a prior with the physical limits."""
         columns = self.variant.columns
         limited = [k for k, column in enumerate(columns) if np.isfinite([column.smallest, column.largest]).any()]
         if not limited:
@@ -130,10 +130,10 @@ class Weighed:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect and its evaluated variants. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape of the
-    effect. `at`: index of the setting of the noise at which the forms are compared. This is the most probable setting without a
-    random walk of the gyros, because a random walk would explain much of what a wrong form leaves. `settled`: True if
-    the nominal parameters were fitted together with the effect before its forms were computed."""
+    """Contains an effect and its evaluated variants. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape of
+    the effect. `at`: index of the setting of the noise at which the forms are compared. This is the most probable setting without a
+    random walk of the gyros, because a random walk would explain much of the residuals of a wrong form. `settled`: True if the
+    nominal parameters were fitted together with the effect before its forms were computed."""
 
     effect: Effect
     variants: tuple[Weighed, ...]
@@ -155,15 +155,15 @@ class Candidate:
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
 
     def across(self, other: Weighed) -> Array:
-        """Returns the inner products of the q columns of another variant with the p columns of each of the V variants, at the first
-        setting of the noise, shape (V, q, p)."""
+        """Returns the inner products of two sets of columns at the first setting of the noise, shape (V, q, p): the q columns of
+        another variant, and the p columns of each of the V variants."""
         products = np.sum([x.T @ y for x, y in zip(other.by_channel, self.stacked, strict=True)], axis=0)
         return np.asarray(np.swapaxes(products.reshape(len(products), len(self.variants), -1), 0, 1))
 
     @property
     def shape_cost(self) -> float:
-        """Returns the logarithm of the factor by which averaging over the shape reduces the evidence relative to the best shape, at
-        the first setting of the noise; never positive."""
+        """Returns the logarithm of a ratio at the first setting of the noise: the evidence averaged over the shape, divided by the
+        evidence of the best shape. It is never positive."""
         return float(self.log_bayes[0]) - max(float(weighed.log_bayes[0]) for weighed in self.variants)
 
     @property
@@ -176,11 +176,11 @@ class Weighing:
     combines a setting of the gyros with a setting of the accelerometers. Its index is (gyro setting) × (number of accelerometer
     settings) + (accelerometer setting).
 
-    `removed`: array of shape (N, K) in SI units, a signal that is subtracted from the samples before they are evaluated, such as a
-    line. `held`: array of shape (N, K), True for samples that are replaced by the fit, such as samples that repeat an earlier one.
-    `coarse`: array of shape (K,), True for channels whose noise does not dither the rounding to counts; the scatter of the samples
-    of such a channel shows rounding, not noise. `outliers`: array of shape (N, K) in SI units, errors of single samples that are
-    left out; None if there are none.
+    `removed`: array of shape (N, K) in SI units, a signal (for example a line) that is subtracted from the samples before the
+    evaluation. `held`: array of shape (N, K), True for samples that are replaced by the fit, such as samples that repeat an earlier
+    one. `coarse`: array of shape (K,), True for channels whose noise does not dither the rounding to counts; the scatter of the
+    samples of such a channel shows rounding, not noise. `outliers`: array of shape (N, K) in SI units, errors of single samples
+    that are left out; None if there are none.
 
     For each channel, `whole`: the columns (M, q) of the nominal parameters; `angles`: the columns (M, n) of `angle_columns` that act
     on it; `known`: the columns (M, n) of effects that count as nominal parameters.
@@ -293,8 +293,8 @@ class Weighing:
         return out
 
     def seen(self, taken: Sequence[Array] | None = None) -> Observed:
-        """Returns the recording, to which the fitted output of the nominal model and the fitted response of each channel to the
-        rate are added. `taken`: the same as in `fitted`."""
+        """Returns the recording, extended by the fitted output of the nominal model and the fitted response of each channel to the
+        rate. `taken`: the same as in `fitted`."""
         observed, fitted = self.observed, self.fitted(taken)
         if observed.along is not None:
             return replace(observed, fitted=fitted)
@@ -316,8 +316,8 @@ class Weighing:
         return self._with(lambda weight, channel: weight.inflated(ratios[channel]))
 
     def _with(self, change: Callable[[ChannelWeights, int], ChannelWeights]) -> Weighing:
-        """Returns a copy with changed weights. Settings can share weights. The log likelihood of a setting changes by the same
-        amount as that of its weights."""
+        """Returns a copy with changed weights. Several settings can share the same weights. The log likelihood of a setting changes
+        by the same amount as the log likelihood of its weights."""
         made = copy(self)
         made.__dict__.pop("base", None)
         made.__dict__.pop("likeliest", None)
@@ -343,8 +343,8 @@ class Weighing:
 
     @cached_property
     def log_prior(self) -> tuple[Array, Array]:
-        """Returns two log priors of the settings of the noise, each of shape (G,): one without and one with an undeclared random
-        walk of the gyros."""
+        """Returns two log priors of the settings of the noise, each of shape (G,): for the hypotheses without and with an
+        undeclared random walk of the gyros."""
         gyro, accel = self.settings["gyro"], self.settings["accel"]
         prior = np.outer([s.prior for s in gyro], [s.prior for s in accel]).ravel()
         walking = np.repeat([s.walk > 0 for s in gyro], len(accel))
@@ -381,13 +381,13 @@ class Weighing:
 
     def projected(self, variants: Sequence[Variant]) -> tuple[list[Variant], list[Array]]:
         """Returns the variants without their samples and, for each channel, the coefficients (M, P) of all their columns. Samples
-        are not kept, because those of all forms of all effects together would need many times the memory of the recording."""
+        are not stored: for all forms of all effects together, they would need many times the memory of the recording."""
         raw = coefficients_of(self.observed, self.spectrum, [c for variant in variants for c in variant.columns])
         return [_without_samples(variant) for variant in variants], raw
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
-        """Returns posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes. They are averaged over the settings of
-        the noise with a random walk of the gyros, or over the settings without one."""
+        """Returns posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes. They are averaged over all settings of
+        the noise with a random walk of the gyros, or over all settings without a random walk."""
         terms = self.base + weighed.log_bayes + self.log_prior[int(walking)]
         share = np.exp(terms - terms.max())
         share /= share.sum()
@@ -453,7 +453,7 @@ class Weighing:
         first: Sequence[Array],
         raw: Sequence[Array],
     ) -> Weighed:
-        """Makes one evaluated variant, whose columns are the range `part` of all columns. Settings of the gyros and of the
+        """Makes one evaluated variant from the columns in the range `part` of all columns. The settings of the gyros and of the
         accelerometers are combined."""
         p = len(variant.columns)
         gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)
@@ -483,7 +483,8 @@ def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:
 def angle_columns(observed: Observed) -> list[Column]:
     """Returns columns for the angle of the table at the start of a segment: the change of the specific force per radian, for each
     accelerometer. There is one column for each segment whose angle was found from gravity. An angle found from gravity contains the
-    errors of the accelerometers. With a correction that is free in each channel, an error of this angle does not count as evidence."""
+    errors of the accelerometers. Each channel has its own free correction of this angle, so an error of the angle does not count as
+    evidence."""
     shown = [index for index, source in enumerate(observed.angle_from) if source is AngleFrom.GRAVITY]
     if not shown:
         return []
@@ -503,9 +504,9 @@ def angle_columns(observed: Observed) -> list[Column]:
 
 
 def of_unknown_phase(observed: Observed, spectrum_: Spectrum) -> Array:
-    """Returns the variance of the coefficients that the nominal input of unknown phase (`Observed.unknown_phase`) causes,
-    SI²·samples, shape (M, K). The cosine and the sine component of this input are treated as normal variables whose standard
-    deviation is the amplitude of the input."""
+    """Returns the variance of the coefficients due to the nominal input of unknown phase (`Observed.unknown_phase`), SI²·samples,
+    shape (M, K). The cosine and sine components of this input are treated as normal variables. Their standard deviation is the
+    amplitude of the input."""
     amplitude = np.abs(observed.unknown_phase)
     if not amplitude.any():
         return np.zeros((len(spectrum_.segment), len(observed.channels)))

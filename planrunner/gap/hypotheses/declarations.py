@@ -22,15 +22,18 @@ from planrunner.gap.evidence.recording_checks import MISFIT, STIRRED, segment_me
 from planrunner.plan.units import STANDARD_GRAVITY
 
 FITS = 0.1
-"""Residual of the fit of M, relative to the applied input, up to which M describes the channel."""
+"""Largest residual of the fit of M, relative to the applied input, at which M describes the channel."""
 NEAR = 0.2
-"""Distance between a row of M and a row of a signed permutation times a factor, relative to that factor, up to which they agree."""
+"""Largest distance, relative to a factor, at which a row of M agrees with a row of a signed permutation multiplied by this
+factor."""
 FACTOR = 0.03
-"""Relative deviation from a known factor: larger than usual scale-factor errors, smaller than half the distance between factors."""
+"""Largest relative deviation from a known factor. It is larger than usual scale-factor errors, and smaller than half the distance
+between two factors."""
 CLEARLY = 3.0
-"""Ratio of misfits, as root mean squares, from which the data distinguish two senses of rotation."""
+"""Smallest ratio of two root mean square misfits for which the data distinguish the two senses of rotation."""
 SEEN = 0.5
-"""Length of an axis in the directions that the plan varies from which its channel can be judged."""
+"""Smallest length of an axis, projected onto the directions that the plan varies, for which the channel of the axis can be
+judged."""
 FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
     "gyro": (
         (180 / np.pi, "degrees", "radians"),
@@ -48,7 +51,8 @@ FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
         (2.0, "half units", "whole units"),
     ),
 }
-"""Factors between units, each with the unit of the values and the declared unit; for the inverse factor the other way round."""
+"""Factors between units. Each factor is stated with two units: the unit of the values and the declared unit. For the inverse
+factor, the two units are exchanged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +74,7 @@ class WrongDeclaration:
 
 @dataclass(frozen=True)
 class _Reading:
-    """The input that a channel shows: the input along an axis (0, 1, 2), multiplied by a sign and a factor."""
+    """Describes the input that a channel shows: the input along an axis (0, 1, 2), multiplied by a sign and a factor."""
 
     axis: int
     sign: float
@@ -79,7 +83,7 @@ class _Reading:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Result of the free fit of the triads.
+    """Contains the result of the fit with a free matrix M for each triad.
 
     `readings`: the reading of each channel, None if the plan does not determine it. `sound`: True if every determined channel
     follows the plan. A channel with a wrong axis, sign or factor also follows the plan if its reading describes this mistake.
@@ -154,8 +158,8 @@ def _fit(observed: Observed) -> _Fit:
 
 def _stuck(observed: Observed, index: int) -> bool:
     """Returns True if a channel is constant throughout at least one segment although it has noise in most segments. Such a channel
-    is at a limit, so it shows only a part of its input. A channel with coarse counts is not meant: it is constant in most segments
-    at rest."""
+    is at a limit, so it shows only a part of its input. A channel with coarse counts does not count as stuck, because it is
+    constant in most segments at rest."""
     spread = np.array([np.ptp(observed.values[part, index]) for part in observed.segments()])
     return bool(np.median(spread) > 0 and spread.min() == 0)
 
@@ -211,8 +215,8 @@ def _sense_is_reversed(observed: Observed, planned: _Fit, opposite: _Fit) -> boo
 def _of_channels(
     observed: Observed, readings: Sequence[_Reading | None]
 ) -> tuple[list[WrongDeclaration], list[int], list[float]]:
-    """Returns the wrong declarations of channels; for every channel, the index of the channel that shows its axis; and the signed
-    factor of that channel. If two channels show the same axis, no declaration counts as wrong."""
+    """Returns three values: the wrong declarations of channels; for every channel, the index of the channel that shows its axis;
+    and the signed factor of the latter channel. If two channels show the same axis, no declaration counts as wrong."""
     sources, factors = list(range(len(readings))), [1.0] * len(readings)
     shown: dict[str, dict[int, _Reading]] = {}
     for kind in ("gyro", "accel"):
@@ -233,8 +237,8 @@ def _of_channels(
 
 
 def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -> list[WrongDeclaration]:
-    """If both triads show the same wrong axes, the wrong declaration that explains both: a mounting in another orientation, or a
-    left-handed system. Otherwise the result is empty."""
+    """Returns the wrong declaration that explains both triads if both show the same wrong axes: a mounting in another orientation,
+    or a left-handed system. Otherwise, the result is empty."""
     matrices = []
     for own in shown.values():
         if len(own) < 3:

@@ -1,11 +1,12 @@
 """Evaluates effects in different forms, one for each value of the shape on the effect's grid. The grid is refined if the evidence
 has a sharp peak. Strong effects are evaluated in a nonlinear form.
 
-An effect that its shape determines completely (a lag, a delay, a dead zone, a limit) has no amplitude. If such an effect is weak,
-it is evaluated like the others, with an amplitude in addition to its shape, because the data cannot separate the two. If it is
-strong, it is evaluated with the amplitude 1, and its shape is found exactly. If a strong effect acts on the output of the sensor,
-the nominal parameters are fitted together with it: the nominal parameters by Gauss–Newton steps, and the shape by a search. Nominal
-parameters fitted without the effect would absorb a part of it and give a wrong output.
+Some effects (a lag, a delay, a dead zone, a limit) have no amplitude: the shape alone determines the effect. If such an effect is
+weak, it is evaluated like the others, with an amplitude in addition to its shape, because the data cannot separate the two. If it
+is strong, it is evaluated with the amplitude 1, and its shape is found exactly. If a strong effect acts on the output of the
+sensor, the nominal parameters are fitted together with the effect: the nominal parameters by Gauss–Newton steps, and the shape by a
+search. If the nominal parameters were fitted without the effect, they would absorb a part of the effect, and the computed output
+would be wrong.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
 
 
 def _likeliest(ways: Sequence[Candidate]) -> Candidate:
-    """Returns the most probable of several ways in which an effect can act. Its evidence is averaged over all ways that the plan
-    can show."""
+    """Returns the most probable of several ways in which an effect can act. The evidence of the effect is averaged over all ways
+    that the plan can show."""
     shown = [way for way in ways if np.isfinite(way.log_bayes).any()]
     if len(ways) == 1 or not shown:
         return ways[0]
@@ -85,8 +86,9 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """Does the same as `_curved`, for an effect that has a shape. With the secants at the amplitudes of the most probable shape,
-    the shape is searched again, and the nominal parameters are fitted together with the effect."""
+    """Does the same as `_curved`, for an effect that has a shape. First, the secants at the amplitudes of the most probable shape
+    are computed. Then the shape is searched again with these secants, and the nominal parameters are fitted together with the
+    effect."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -122,9 +124,9 @@ def _settled(
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """Evaluates a strong effect that its shape determines completely, with the amplitude that physics fixes. For example, the time
-    constant of a lag determines both the delay and the attenuation. The energy λ has the same prior as for other effects. The
-    candidate is unchanged if the data require the opposite sign."""
+    """Evaluates a strong effect whose shape determines it completely. The amplitude has the value that physics fixes. For example,
+    the time constant of a lag determines both the delay and the attenuation. The energy λ has the same prior as for other effects.
+    The candidate is unchanged if the data require the opposite sign."""
     best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
     forms = [replace(form, held=True) for form, _ in whole_forms(weighing, effect)] if best.amplitudes[0][0] > 0 else []
     if len(forms) < 3 or any(form.trace <= 0 for form in forms):  # too weak for the amplitude 1 to mean anything
@@ -136,8 +138,8 @@ def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: 
 
 
 def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Observed) -> tuple[list[Weighed], Array]:
-    """Adds shapes between those of the grid, around the best one, and averages the evidence over the shape by the trapezoidal rule.
-    Every interval of the grid has the same prior.
+    """Adds shapes to the grid around the best one, and averages the evidence over the shape by the trapezoidal rule. Every interval
+    of the grid has the same prior.
 
     Three rounds add four shapes between the best shape and each neighbour, which is enough for the sharp peak of an effect at a
     hundred standard deviations. With a random walk of the gyros, another shape may be the best; the grid is then refined around
@@ -181,10 +183,10 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
 
 
 def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
-    """Forms around the most probable shape, in equal steps of the logarithm of the shape, and their probabilities. The result is
-    empty if no form explains more than no effect does, because the data require the opposite sign. If the search alternates between
-    shapes or does not converge, the most probable of the visited shapes is used, with the nominal parameters that were fitted for
-    it."""
+    """Returns the forms around the most probable shape, in equal steps of the logarithm of the shape, and their probabilities. If
+    the data require the opposite sign, no form explains the data better than no effect, and the result is empty. If the search
+    alternates between shapes or does not converge, the most probable of the visited shapes is used, with the nominal parameters
+    that were fitted for it."""
     seen, found, before = weighing.observed, np.nan, np.nan
     likeliest = (-np.inf, seen, np.nan, np.nan)
     for _ in range(_STEPS):
@@ -210,7 +212,7 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
 
 
 def _evidence(weighing: Weighing, form: Weighed) -> float:
-    """Log evidence of a form with the amplitude 1, up to a constant that is the same for all forms."""
+    """Returns the log evidence of a form with the amplitude 1, up to a constant that is the same for all forms."""
     return weighing.evidence(form.score[:, 0] - 0.5 * form.gram[:, 0, 0])
 
 

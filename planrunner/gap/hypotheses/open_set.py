@@ -1,10 +1,9 @@
-"""Patterns outside the catalogue that compete with the effects, so that a diagnosis can report "something that the catalogue does
-not contain".
-
-Such a competitor is a pattern of the whitened residual, in one channel or in a triad. Some patterns differ at random from segment
-to segment, or change smoothly with rate, gravity, temperature or time: offsets, scale-like errors, transients, and waveforms per
-turn or per rocking period. Further patterns are a deviation in a single segment, a periodic bias, bursts, and a tone that keeps its
-phase over the whole run. The competitors are evaluated like effects, individually and in combination.
+"""Evaluates patterns outside the catalogue, which compete with the effects. Thus a diagnosis can report "something that the
+catalogue does not contain". Such a competitor is a pattern of the whitened residual, in one channel or in a triad. Some patterns
+differ at random from segment to segment, or change smoothly with rate, gravity, temperature or time: offsets, scale-like errors,
+transients, and waveforms per turn or per rocking period. Further patterns are a deviation in a single segment, a periodic bias,
+bursts, and a tone that keeps its phase over the whole run. The competitors are evaluated like effects, individually and in
+combination.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
 BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
 MATERIAL = float(np.expm1(2 * HOLDS))
-"""Power of a tone, relative to the variance of the noise, from which on it is not part of a noise that is declared correctly."""
+"""Power of a tone, relative to the variance of the noise, at and above which the tone is not a part of correctly declared noise."""
 _TUNINGS = 4  # corrections of the frequency of a fitted tone
 _NEAR = 8  # spacings of a periodogram about its highest frequency, between which finer values are tried
 _BLOCKS = 1024  # of time, over which shifted samples are summed
@@ -52,12 +51,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Evidence for the patterns outside the catalogue (competitors).
-
-    `log_bayes`: for each competitor, an array of shape (G,): its log Bayes factor against none at each setting of the noise. It is
-    −∞ for settings with a random walk of the gyros' bias. `several`: array of shape (G,), log Bayes factor of combinations of
-    patterns of different kinds. `by_channel`: for each competitor, an array of shape (K,): its log Bayes factor in each channel
-    alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns outside the coefficients. No effect of the
+    """Contains the evidence for the patterns outside the catalogue (competitors). `log_bayes`: for each competitor, an array of
+    shape (G,): the log Bayes factor of the competitor, relative to no pattern, at each setting of the noise. It is −∞ for settings
+    with a random walk of the gyros' bias. `several`: array of shape (G,), log Bayes factor of combinations of patterns of different
+    kinds. `by_channel`: for each competitor, an array of shape (K,): the log Bayes factor of the competitor in each channel alone,
+    at the first setting of the noise. `outside`: log Bayes factor of the patterns outside the coefficients. No effect of the
     catalogue acts outside the coefficients, so these patterns are independent of every effect. `lines`: the strongest tone of each
     channel that shows a tone.
     """
@@ -122,8 +120,8 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Arr
     """Returns the log Bayes factor of combinations of patterns of several sorts, where each sort is present with probability ½. A
     cause outside the catalogue often appears in more than one sort.
 
-    Coefficients of different sorts are connected only by the nominal parameters, through which a strong sort influences all others.
-    Therefore the strongest sort is evaluated first, and the other sorts without its coefficients; this is repeated until the
+    Only the nominal parameters connect coefficients of different sorts. Through these parameters, a strong sort influences all
+    other sorts. Therefore, the strongest sort is evaluated first, and its coefficients are then removed. This is repeated until the
     remaining sorts are weak.
     """
     left, total = _by_sort(found), 0.0
@@ -137,7 +135,8 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Arr
 
 
 def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
-    """Returns the log Bayes factor of each sort. Patterns that span several sorts are left out, because they would count twice."""
+    """Returns the log Bayes factor of each sort. Patterns that consist of several sorts are omitted, because they would count
+    twice."""
     sorts: dict[Sort, list[float]] = {}
     for pattern, value in found.items():
         if pattern.sort is not Sort.SEVERAL:
@@ -157,7 +156,8 @@ def scopes_of(weighing: Weighing) -> list[list[int]]:
 
 
 class _Patterns:
-    """All patterns of the coefficients. Results are cached, because several settings of the noise share the weights of a triad."""
+    """Evaluates all patterns of the coefficients. Results are cached, because several settings of the noise share the weights of a
+    triad."""
 
     def __init__(self, weighing: Weighing):
         self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)
@@ -165,8 +165,8 @@ class _Patterns:
         self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
     def weighed(self, channels: list[Left], among: Container[Sort] | None = None) -> dict[Pattern, Array]:
-        """Returns the log Bayes factor of each pattern in each scope, and of a deviation in a single segment of any channel.
-        `among`: the sorts to evaluate, by default all."""
+        """Returns the log Bayes factor of each pattern in each scope, and the log Bayes factor of a deviation in a single segment
+        of any channel. `among`: the sorts to evaluate, by default all."""
         found: dict[Pattern, list[float]] = {}
         for pattern, per_channel in self.designs:
             if among is None or pattern.sort in among:
@@ -217,8 +217,8 @@ class Outside:
 def outside(weighing: Weighing) -> Outside:
     """Evaluates the patterns outside the basis of the coefficients.
 
-    Real noise often contains lines (supply, dither, resonances). A line counts as a separate cause only if it is a single tone that
-    visibly increases the noise. Other lines belong to the noise and are only reported.
+    Real noise often contains lines (supply, dither, resonances). A line counts as a separate cause only if it is a single tone with
+    a power of at least `MATERIAL`. Other lines belong to the noise and are only reported.
     """
     scopes, scans = scopes_of(weighing), [_scan(weighing, index) for index in range(len(weighing.observed.channels))]
     periodograms = [_Periodogram.of(scan, scan.samples) for scan in scans]
@@ -240,13 +240,14 @@ def outside(weighing: Weighing) -> Outside:
 
 @dataclass(frozen=True)
 class _Scan:
-    """The remainder of a channel in segments at rest and turning, prepared for a periodogram.
+    """Contains the remainder of a channel in segments at rest and turning, prepared for a periodogram.
 
-    `chosen`: array of shape (n,), indices of the samples that are used. `weight`: array of shape (n,), number of raw samples in
-    each of these samples. `samples`: array of shape (n,), the samples in SI units, each divided by the level of the noise of its
-    segment. `slot`: array of shape (n,), position of each sample on a time grid of `length` steps of `step` seconds. `level`: array
-    of shape (n,), level of the noise, as a standard deviation relative to `white`. `coloured`: True if the spectrum of the noise is
-    not white. The scan has no samples if the run is too long or too short, or if the counts of the channel are coarse.
+    `chosen`: array of shape (n,), indices of the samples that are used. `weight`: array of shape (n,), number of raw samples that
+    each of these samples combines. `samples`: array of shape (n,), the samples in SI units, each divided by the level of the noise
+    of its segment. `slot`: array of shape (n,), position of each sample on a time grid of `length` steps of `step` seconds.
+    `level`: array of shape (n,), level of the noise, as a standard deviation relative to `white`. `coloured`: True if the spectrum
+    of the noise is not white. The scan has no samples if the run is too long or too short, or if the counts of the channel are
+    coarse.
     """
 
     chosen: NDArray[np.int64]
@@ -260,14 +261,14 @@ class _Scan:
     coloured: bool
 
     def energy(self, samples: Array) -> float:
-        """Energy [SI²] of samples (n,), summed over the raw samples. `samples`: samples divided by the level of the noise, as in
-        the attribute `samples`."""
+        """Returns the energy of samples (n,), summed over the raw samples, SI². `samples`: samples divided by the level of the
+        noise, as in the attribute `samples`."""
         return float(self.weight @ samples**2)
 
 
 @dataclass(frozen=True)
 class _Periodogram:
-    """The periodogram of a scan.
+    """Contains the periodogram of a scan.
 
     `frequency`: array of shape (F,) in Hz. `power`: array of shape (F,), power at each frequency in units of the noise power.
     `amplitude`: array of shape (F,) in SI units, amplitude of a sine with this power.
@@ -279,7 +280,7 @@ class _Periodogram:
 
     @classmethod
     def of(cls, scan: _Scan, samples: Array) -> _Periodogram:
-        """Computes the periodogram of samples (n,) at the places of a scan."""
+        """Computes the periodogram of samples (n,) that have the positions of the samples of a scan."""
         from scipy.fft import next_fast_len, rfft
 
         if not len(samples):
@@ -296,8 +297,8 @@ class _Periodogram:
 
 
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
-    """Returns the log Bayes factor that the mean of one channel deviates in one segment; it is unknown in which channel and in
-    which segment."""
+    """Returns the log Bayes factor of the hypothesis that the mean of one channel deviates in one segment. Neither the channel nor
+    the segment is known."""
     each = []
     for left in channels:
         at, whitened = left.whitened(np.eye(len(means)), means)
@@ -332,10 +333,11 @@ def _scan(weighing: Weighing, index: int) -> _Scan:
 
 
 def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
-    """Fits a sine near this frequency [Hz] to the samples of a scan (Gauss–Newton in the frequency) and subtracts the part of the
-    sine that lies outside the basis. Returns the remaining samples (n,) and the fitted frequency. `spacing`: distance between the
-    frequencies of the periodogram, Hz. The search starts at the highest of closely spaced values around `frequency`: gaps between
-    segments make neighbouring values of the periodogram almost as high as the highest one."""
+    """Fits a sine to the samples of a scan, with Gauss–Newton steps in the frequency, and subtracts the part of the sine that lies
+    outside the basis. `frequency`: approximate frequency of the sine, Hz. Returns the remaining samples (n,) and the fitted
+    frequency. `spacing`: distance between the frequencies of the periodogram, Hz. The search starts at the frequency with the
+    highest power among closely spaced frequencies around `frequency`. This is necessary because gaps between segments make
+    neighbouring values of the periodogram almost as high as the highest one."""
     observed, spectrum = weighing.observed, weighing.spectrum
     time = observed.time - observed.time.mean()
     root = np.sqrt(scan.weight)
@@ -355,8 +357,9 @@ def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: fl
 
 
 def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> float:
-    """Returns the distance [Hz] from `frequency` to the closely spaced value around it that has the highest power. After a shift to
-    frequency zero, the samples (n,) change little within a block of time, so sums over blocks are sufficient."""
+    """Searches closely spaced frequencies around `frequency` for the highest power. Returns the distance of the best frequency from
+    `frequency`, Hz. The samples (n,) are first shifted to frequency zero. They then change little within a block of time, so sums
+    over blocks are sufficient."""
     place = ((time - time[0]) * (_BLOCKS / (time[-1] - time[0]) * (1 - 1e-9))).astype(np.int64)
     shifted = samples * np.exp(-2j * np.pi * frequency * time)
     sums = np.bincount(place, shifted.real, _BLOCKS) + 1j * np.bincount(place, shifted.imag, _BLOCKS)
@@ -366,8 +369,8 @@ def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> f
 
 
 def _local_level(power: Array) -> Array:
-    """Level (F,) of the noise in a periodogram (F,), for coloured noise. The level is interpolated linearly, in logarithms, between
-    medians over blocks, which a line in a block does not raise."""
+    """Returns the level of coloured noise in a periodogram (F,), shape (F,). The level is interpolated linearly, in logarithms,
+    between medians over blocks. A line does not raise the median of its block."""
     blocks = np.array_split(power, max(len(power) // BLOCK, 1))
     middles = np.cumsum([len(block) for block in blocks]) - [len(block) / 2 for block in blocks]
     levels = [np.log(np.median(block) / np.log(2.0) + 1e-300) for block in blocks]

@@ -1,4 +1,5 @@
-"""Patterns of the coefficients that effects of the catalogue do not cause: possible forms of "something else", as designs.
+"""Describes patterns of the coefficients that effects of the catalogue do not cause. These are the possible forms of "something
+else". Each pattern is a design, that is, a set of columns.
 
 The patterns are offsets, scale-like errors, transients and waveforms per turn or per rocking period. They differ from segment to
 segment, or change smoothly with rate, gravity, temperature or time.
@@ -39,7 +40,7 @@ class Sort(Enum):
 
 
 class Factor(StrEnum):
-    """A factor that a gap may follow. Random differences from segment to segment count as `TIME`."""
+    """Names a factor that a gap may follow. Random differences from segment to segment count as `TIME`."""
 
     CHANNEL = "channel"
     ORIENTATION = "orientation"
@@ -52,7 +53,7 @@ class Factor(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """One pattern outside the catalogue. `factor`: the factor that the gap follows if this pattern explains the gap."""
+    """Describes one pattern outside the catalogue. `factor`: the factor that the gap follows if this pattern explains the gap."""
 
     name: str
     sort: Sort
@@ -60,7 +61,8 @@ class Pattern:
 
 
 PatternDesign = tuple[Pattern, list[Array | Rows]]
-"""Per channel raw columns (M, P), or rows (M,) that are each a separate column."""
+"""A pattern and its design. For each channel, the design contains columns (M, P) that are not whitened, or rows (M,), each of which
+counts as a separate column."""
 HARMONICS = {1: Sort.ONCE_PER_TURN, 2: Sort.TWICE_PER_TURN, 3: Sort.THRICE_PER_TURN}
 WHOLE = {
     Sort.MEANS: Pattern("offset per segment", Sort.MEANS, Factor.TIME),
@@ -68,9 +70,9 @@ WHOLE = {
     Sort.ROCKING: Pattern("rocking waveform", Sort.ROCKING, Factor.TABLE_ANGLE),
     **{sort: Pattern(f"{h} per turn, per segment", sort, Factor.TABLE_ANGLE) for h, sort in HARMONICS.items()},
 }
-"""Sorts of coefficients, each with the pattern that contains all of these."""
+"""For each sort of coefficients, the pattern that contains all coefficients of this sort."""
 CHANGING = Pattern("offset and transient while the temperature changes", Sort.SEVERAL, Factor.TEMPERATURE)
-"""A pattern that acts both on the means and within the segments."""
+"""The pattern that acts both on the means and within the segments."""
 SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
 
@@ -150,12 +152,10 @@ def sorts(weighing: Weighing) -> dict[Sort, Rows]:
 
 
 def factors(weighing: Weighing) -> Iterator[PatternDesign]:
-    """Yields patterns that effects of the catalogue can also follow, with designs like those of `designs`. They serve to locate the
-    gap and do not count as unknown.
-
-    Each factor is included in its simplest form, so that a factor with few parameters can prevail over one that needs many. A
-    rotation about the vertical does not change the orientation for an accelerometer, but it does for a gyro, because of the Earth's
-    rate.
+    """Yields patterns that effects of the catalogue can also follow, with designs like those of `designs`. They are used to locate
+    the gap, and they do not count as unknown. Each factor is included in its simplest form, so that a factor with few parameters
+    can prevail over a factor that needs many. A rotation about the vertical does not change the input of an accelerometer. It does
+    change the input of a gyro, because of the Earth's rate.
     """
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = range(len(observed))
@@ -212,7 +212,7 @@ def _coordinates(weighing: Weighing) -> dict[Factor, Array]:
 
 
 def _orientations(observed: Observed) -> Array:
-    """Direction cosines (S, 9) of East, North and Up in the sensor's axes, averaged over each segment."""
+    """Returns the direction cosines of East, North and Up in the sensor's axes, averaged over each segment, shape (S, 9)."""
     axes = [observed.in_sensor_axes(axis) for axis in np.eye(3)]
     counts = np.diff(observed.bounds)[:, None]
     return np.hstack([np.add.reduceat(axis, observed.bounds[:-1], axis=0) / counts for axis in axes])
@@ -225,7 +225,7 @@ def _levels(names: Sequence[Hashable]) -> Array:
 
 
 def _coarse(values: Array) -> tuple[float, ...]:
-    """Values rounded to a tenth, so that equal orientations get equal keys."""
+    """Rounds values to a tenth, so that equal orientations get equal keys."""
     return tuple((np.round(values, 1) + 0.0).ravel().tolist())
 
 
@@ -247,8 +247,8 @@ def _state(observed: Observed, segment: int, fast: bool = True) -> str:
 
 
 def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Array:
-    """Smooth functions (S, at most `most`) of a coordinate: cosines of its position within its range, of orders 1 to `most`, with
-    the weight 1/order^fading."""
+    """Returns smooth functions of a coordinate, shape (S, at most `most`). They are cosines, of orders 1 to `most`, of the position
+    of the coordinate within its range. Each order has the weight 1/order^fading."""
     span = float(np.ptp(values))
     if span <= 0:
         return np.zeros((len(values), 0))
@@ -265,7 +265,7 @@ def _changing(observed: Observed) -> Rows:
 
 
 def _monomials(direction: Array) -> Array:
-    """Monomials of degrees 2 to 4 of the components of the direction of gravity."""
+    """Returns the monomials of degrees 2 to 4 of the components of the direction of gravity."""
     columns = [
         direction[:, 0] ** a * direction[:, 1] ** b * direction[:, 2] ** (d - a - b)
         for d in (2, 3, 4)
@@ -276,8 +276,8 @@ def _monomials(direction: Array) -> Array:
 
 
 def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
-    """Columns for the cosine and sine of a harmonic whose amplitude is the same in all segments, proportional to the rate, or
-    proportional to the square of the rate."""
+    """Returns columns for the cosine and sine of a harmonic. The amplitude of the harmonic is the same in all segments,
+    proportional to the rate, or proportional to the square of the rate."""
     observed, spectrum = weighing.observed, weighing.spectrum
     if not rows.any():
         return np.zeros((len(rows), 0))

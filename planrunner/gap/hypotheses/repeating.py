@@ -2,8 +2,8 @@
 
 The periods range from twice the duration of the run to half a segment; at most `MOST` periods are tried. A waveform is a sum of
 harmonics whose amplitudes decrease as 1/order. A waveform with edges has many harmonics, which remain coherent over the run only if
-the period is accurate. It is therefore evaluated on a finer grid of periods, near the periods that are likely for a sine or a
-smooth waveform.
+the period is accurate. Such a waveform is therefore evaluated on a finer grid of periods. This grid covers only periods near those
+that are likely for a sine or a smooth waveform.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ class Repeating:
         return found
 
     def _edged(self, peaks: NDArray[np.int64], channels: Sequence[Left]) -> float:
-        """Returns the log Bayes factor of a waveform with edges. The waveform is evaluated only at periods near the `peaks`; all
-        other periods of the finer grid are assumed to contribute nothing to the mean over this grid."""
+        """Returns the log Bayes factor of a waveform with edges. The waveform is evaluated only at periods near the `peaks`. In the
+        mean over the finer grid, all other periods count with a Bayes factor of zero."""
         steps = (np.arange(FINER) - (FINER - 1) / 2) / FINER
         near = (self.frequencies[peaks, None] + steps / (4 * self._run)).ravel()
         waves = self.waves(near, EDGED)
@@ -67,7 +67,8 @@ class Repeating:
         return float(log_mean_exp(each, 0) + np.log(len(near) / (FINER * len(self.frequencies))))
 
     def waves(self, frequencies: Array, harmonics: int) -> Array:
-        """Cosines and sines (n, F, H, 2) of the H harmonics of each of F frequencies, as coefficients in the n `rows`."""
+        """Returns the cosines and sines of the H harmonics of each of F frequencies, as coefficients in the n `rows`, shape (n, F,
+        H, 2)."""
         orders = np.arange(1, harmonics + 1)
         pulses = 2 * np.pi * np.outer(frequencies, orders)
         within = _within(np.round(self.ends - self.starts, 9), pulses.ravel(), int(self._order.max()) + 1)
@@ -78,8 +79,8 @@ class Repeating:
         return raw.view(float).reshape(len(self.rows), *pulses.shape, 2)
 
     def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
-        """Returns the eigenvalues (F, n) and squared scores (F, n) of the first n columns of each of F frequencies, for each n in
-        `counts`."""
+        """For each n in `counts`, returns the eigenvalues (F, n) and the squared scores (F, n) of the first n columns of each of F
+        frequencies."""
         periods = waves.shape[1]
         at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
         size = whitened.shape[1] // periods
@@ -103,8 +104,8 @@ def _evidence(parts: Sequence[Eigen]) -> Array:
 
 
 def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
-    """Coefficients (S, orders, P) of the cosine transform of exp(iωt), where t starts at zero in every segment. `lasting_`: array
-    of shape (S,), durations of the segments; segments of equal duration are computed once."""
+    """Returns the coefficients of the cosine transform of exp(iωt), shape (S, orders, P). The time t starts at zero in every
+    segment. `lasting_`: array of shape (S,), durations of the segments; segments of equal duration are computed once."""
     middles = (np.arange(NODES) + 0.5) / NODES
     cosines = (
         np.cos(np.pi * np.arange(orders)[:, None] * middles)
