@@ -1,16 +1,16 @@
 """Finds effects that do not appear in the coefficients to which a recording is reduced (`evidence.spectrum`), for example a line of
-one frequency.
+one frequency. Such effects are found first and removed from the samples, so that they do not influence the evaluation of the other
+effects. They are present or absent independently of the other effects. Therefore, their log evidence is added to the log evidence
+of the other effects.
 
-Such effects are found first and removed from the samples, so that the other effects are evaluated without them. Each such effect is
-present or absent independently of the other effects, so its log evidence is added to the log evidence of the others.
-
-One effect of this kind is a stuck output, which keeps one value for longer than its noise allows. The evidence compares stuck
+One effect of this kind is a stuck output: the output keeps one value for longer than its noise allows. The evidence compares stuck
 stretches with the chance repeats of white noise. With white noise, a sample repeats the previous count with a probability r. The
 number L of consecutive equal samples therefore has the geometric distribution P(L) = (1 − r)·r^(L−1). To estimate r, the samples of
-a segment that repeat the previous sample are counted, without the longest sequence of equal samples. As real noise is correlated,
-√r is used instead of r. A stuck stretch may have any length; the prior is uniform in the logarithm of the length, and one stuck
-stretch is expected in a recording. Channels with coarse counts are not used, because their noise often stays within one count for a
-long time. Recordings that contain means over bins are not examined, because such means do not show repeated samples.
+a segment that repeat the previous sample are counted; the longest sequence of equal samples is not included. As real noise is
+correlated, √r is used instead of r. A stuck stretch may have any length; the prior is uniform in the logarithm of the length, and
+one stuck stretch is expected in a recording. Channels with coarse counts are not examined, because their noise often stays within
+one count for a long time. Recordings that consist of means over bins are not examined either, because such means do not show
+repeated samples.
 """
 
 from __future__ import annotations
@@ -50,10 +50,8 @@ class RepeatedStretch:
 
 @dataclass(frozen=True)
 class Repeated:
-    """The stuck stretches of a recording.
-
-    `log_bayes`: log Bayes factor of the hypothesis that there are stuck stretches, against none. `stretches`: the likely stretches,
-    the longest first. `held`: array of shape (N, K), True for the samples of the stretches.
+    """Contains the stuck stretches of a recording. `log_bayes`: log Bayes factor of stuck stretches, relative to none. `stretches`:
+    the likely stretches, the longest first. `held`: array of shape (N, K), True for the samples of the stretches.
     """
 
     log_bayes: float
@@ -62,7 +60,8 @@ class Repeated:
 
 
 def repeated(observed: Observed) -> Repeated:
-    """Finds the stuck stretches of a recording of single samples; finds none if the recording contains means over bins."""
+    """Finds the stuck stretches of a recording of single samples. If the recording consists of means over bins, no stretches are
+    found."""
     held = np.zeros(observed.values.shape, dtype=bool)
     found: list[RepeatedStretch] = []
     total, chance = 0.0, 1.0 / max(held.size, 2)
@@ -97,8 +96,8 @@ class Apart:
 
     `log_bayes`: log Bayes factor of these effects. `parameters`: estimated parameters of these effects. `lines`: the effects among
     them that are tones. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if no effect
-    was found. `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if it must be computed
-    again because `removed` changes it.
+    was found. `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if this evidence must be
+    computed again because samples were changed (`removed`).
     """
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)
@@ -136,8 +135,8 @@ def repeated_parameters(observed: Observed, effect: str, found: Repeated) -> lis
 
 
 def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated | None = None) -> Apart:
-    """Finds the effects that the recording shows, but not its coefficients. A line counts as an effect only if it has its own cause
-    and is not a part of the noise (`open_set`)."""
+    """Finds the effects that appear in the samples of the recording but not in its coefficients. A line counts as an effect only if
+    it has its own cause and is not a part of the noise (`open_set`)."""
     seen, observed = outside(weighing), weighing.observed
     log_bayes, parameters, lines = {}, {}, list[Line]()
     removed = np.zeros_like(observed.values)
@@ -173,10 +172,10 @@ def fitted_line(weighing: Weighing, effect: Shaped, frequency: float) -> tuple[f
     uncertainty [Hz]; the columns of the effect at this frequency; and an array of shape (P, 2), the amplitudes and their standard
     uncertainties in SI units.
 
-    `frequency`: frequency at which the search starts; it must agree with the line within the frequency resolution of the recording.
-    The fit takes Gauss–Newton steps in the frequency, which is the same for all channels. The basis vectors of the segments are
-    projected out of every column, because they have been removed from the samples as well. The noise level of a channel is computed
-    from the samples without the line.
+    `frequency`: frequency at which the search starts. It must agree with the frequency of the line within the frequency resolution
+    of the recording. The fit takes Gauss–Newton steps in the frequency, which is the same for all channels. The basis vectors of
+    the segments are projected out of every column, because they have also been removed from the samples. The noise level of a
+    channel is computed from the samples without the line.
     """
     observed = weighing.observed
     used = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])[observed.owner]

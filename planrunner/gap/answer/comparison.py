@@ -22,20 +22,20 @@ from planrunner.gap.hypotheses.candidates import Weighing, simulated
 from planrunner.observation.refusals import ObservationError
 
 FEWEST = 3
-"""Segments that recording and simulation must share."""
+"""Smallest number of segments that the recording and the simulation must have in common."""
 
 
 @dataclass(frozen=True)
 class ChannelComparison:
     """Contains the comparison of one channel, in the unit `unit`.
 
-    `before`: size of the difference between the recording and a simulation without the effects. `after`: size of the difference
-    from a simulation with the effects. `before` and `after` are root mean squares over the means, slow changes and harmonics of the
-    segments. `noise`: size of the difference that noise alone would cause. `before_sigma`, `after_sigma`: `before` and `after` in
-    standard deviations of the noise; 1 if there is only noise. `sample_noise`: standard deviation of a single sample in the
-    recording and in both simulations. `means`: for the recording and both simulations, an array of shape (S,), the offset of each
-    common segment after the fit of the nominal parameters. `sigma`: array of shape (S,), standard uncertainty of the offsets in the
-    recording due to noise.
+    `before`: size of the difference between the recording and the simulation without the effects. `after`: size of the difference
+    between the recording and the simulation with the effects. `before` and `after` are root mean squares over the means, slow
+    changes and harmonics of the segments. `noise`: size of the difference that noise alone would cause. `before_sigma`,
+    `after_sigma`: `before` and `after` in standard deviations of the noise; 1 if there is only noise. `sample_noise`: standard
+    deviation of a single sample in the recording and in both simulations. `means`: for the recording and both simulations, an array
+    of shape (S,), the offset of each common segment after the fit of the nominal parameters. `sigma`: array of shape (S,), standard
+    uncertainty of the offsets in the recording due to noise.
     """
 
     unit: str
@@ -51,7 +51,8 @@ class ChannelComparison:
 
 @dataclass(frozen=True)
 class GapComparison:
-    """The comparison of all channels. `labels`: labels of the segments that the recording and both simulations share."""
+    """Contains the comparison of all channels. `labels`: labels of the segments that the recording and both simulations have in
+    common."""
 
     labels: tuple[str, ...]
     channels: dict[str, ChannelComparison]
@@ -106,7 +107,7 @@ def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after:
 
 @dataclass(frozen=True)
 class _Reduced:
-    """A recording or simulation, reduced to coefficients.
+    """Contains a recording or simulation that was reduced to coefficients.
 
     `values`: array of shape (M, K) in SI units, the coefficients, each scaled so that it is a root mean square over its segment.
     `counts`: array of shape (M,), number of samples in the segment of each coefficient. `rows`: the rows of each segment, by label;
@@ -147,8 +148,8 @@ class _Common:
 
 
 def _common(labels: Sequence[str], *three: _Reduced) -> _Common:
-    """Finds the common rows. If the basis of a segment is the same in the recording and in both simulations, these are all
-    coefficients of the segment; otherwise, only its mean."""
+    """Finds the common rows. If the basis of a segment is the same in the recording and in both simulations, all coefficients of
+    the segment are common rows. Otherwise, only the mean of the segment is a common row."""
     found: list[list[NDArray[np.int64]]] = [[], [], []]
     means = []
     for label in labels:
@@ -199,8 +200,8 @@ def _channel(
 
 
 def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
-    """Returns the variances (m,) that slow noise and rounding cause in the segment means of the recording; zero for coefficients
-    that are not means."""
+    """Returns the variances due to slow noise and rounding in the segment means of the recording, shape (m,). They are zero for
+    coefficients that are not means."""
     weight, found = weighing.weights[index][0], weighing.spectrum
     counts = weighing.observed.counts.astype(float)
     whole = np.diag(weight.covariance(found.frequency == 0)) / counts - weighing.white[index] ** 2 / counts

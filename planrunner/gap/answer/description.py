@@ -1,5 +1,5 @@
-"""Computes what a diagnosis reports besides the explanation: the gap and the noise of each channel, in the unit of the channel, and
-plain data for plots. The noise is only reported; it does not compete with the effects as an explanation.
+"""Computes results that a diagnosis reports in addition to the explanation: the gap and the noise of each channel, in the unit of
+the channel, and the data for plots. The noise is only reported; it does not compete with the effects as an explanation.
 """
 
 from __future__ import annotations
@@ -67,9 +67,9 @@ def noise_found(weighing: Weighing, lines: Sequence[Line]) -> tuple[NoiseFound, 
 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
-    """Returns, for each channel: the gap, the gap that noise alone would cause, and the unit. The gap is the root mean square, over
-    the samples, of that part of the residual of the nominal simulation that the coefficients represent. The gap does not depend on
-    the sampling rate; a constant offset contributes its full size."""
+    """Returns, for each channel: the gap, the gap that noise alone would cause, and the unit. The gap is computed from the
+    residuals of the nominal simulation. It is the root mean square, over the samples, of the part that the coefficients represent.
+    The gap does not depend on the sampling rate. A constant offset contributes its full size."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
         gap, noise = weighing.weights[index][0].gap_and_noise()
@@ -118,7 +118,7 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
 def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> JsonObject:
     """Returns the one-sided amplitude spectral density in each frequency band, before and after the effect is fitted, and the
     density of the white noise. Segment means are not included, because their frequency is zero. If the bins of the segments have
-    different sizes, only the segments with the largest bins are used; the spectrum ends at half the rate of these bins."""
+    different sizes, only the segments with the largest bins are used. The spectrum then ends at half the rate of these bins."""
     observed, spectrum = weighing.observed, weighing.spectrum
     size = observed.bin_size.max()
     shown = observed.bin_size == size

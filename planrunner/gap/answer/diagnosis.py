@@ -1,5 +1,5 @@
-"""Diagnoses a recording: determines where the recording differs from its simulation, which effect explains this difference (the
-gap), and how much this effect reduces the gap.
+"""Diagnoses a recording. A diagnosis determines where the recording differs from its simulation, which effect explains this
+difference (the gap), and how much this effect reduces the gap.
 
 The diagnosis has five steps. First, spectra and noise are computed, and the nominal parameters are projected out (`weighing`).
 Second, the evidence is evaluated for every installed effect (`candidates`), for pairs of effects, and for patterns outside the
@@ -79,8 +79,8 @@ class Grounds:
     """Contains the data on which a diagnosis is based, for further analysis.
 
     `nominal`: names of the terms that the nominal simulation fits. `choices`: the effects and sets of effects among which the
-    closure chooses. `noise`: the noise that was measured for the closure. None if the diagnosis names no effect whose size in one
-    segment can be predicted from the other segments.
+    closure chooses. `noise`: the noise that was measured for the closure. It is None if no named effect allows a closure, that is,
+    if the other segments cannot predict the effect in a held-out segment.
     """
 
     weighing: Weighing
@@ -92,13 +92,12 @@ class Grounds:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Result of a diagnosis.
-
-    `gap`: size of the gap of each channel, in its unit. `noise`: the noise of every channel. `posterior`: probabilities of all
-    hypotheses. `absorbed`: effects that the nominal parameters reproduce almost completely, each with the fraction of its energy
-    that remains. `unknown`: form of the gap, if the verdict is that its cause is not in the catalogue. `rest`: the part of the gap
-    that the named effects do not explain; None if no effect is named, or if a random walk is among the named effects. `pictures`:
-    data for plots. `given`: parameters of the effects that are known to act, fitted together with the named effects.
+    """Contains the result of a diagnosis. `gap`: size of the gap of each channel, in the unit of the channel. `noise`: the noise of
+    every channel. `posterior`: probabilities of all hypotheses. `absorbed`: effects that the nominal parameters reproduce almost
+    completely, each with the remaining fraction of its energy. `unknown`: form of the gap, if the verdict is that its cause is not
+    in the catalogue. `rest`: the part of the gap that the named effects do not explain; None if no effect is named, or if a random
+    walk is among the named effects. `pictures`: data for plots. `given`: parameters of the effects that are known to act, fitted
+    together with the named effects.
     """
 
     gap: Mapping[str, Mapping[str, Json]]
@@ -309,8 +308,8 @@ def _parameters_of_given(
 
 
 def hypotheses(names: Sequence[str] | None, observed: Observed | None = None) -> list[Effect]:
-    """Returns the effects with these names. Without names, returns all installed effects that are hypotheses. An effect that only
-    some recordings can show is included only if `observed` can show it."""
+    """Returns the effects with these names. Without names, returns all installed effects that are hypotheses. Some effects can
+    appear only in certain recordings. Such an effect is included only if it can appear in `observed`."""
     if names is not None:
         return [effect_named(name) for name in names]
     installed = [effect_named(name) for name in plugins.names(plugins.EFFECTS)]
@@ -324,8 +323,8 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """Returns the forms of an effect, by its name, if the shape of the effect determines it completely. The result is empty for
-    other effects, and if no form explains the data better than no effect."""
+    """Returns the forms of an effect, by the name of the effect, if its shape determines it completely. The result is empty for
+    other effects. It is also empty if no form explains the data better than no effect."""
     effect = shape_alone(candidate)
     found = whole_forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}

@@ -2,8 +2,8 @@
 on this bench, or an instrument that the bench lacks.
 
 The information that a segment would give is computed before the segment is measured. To save time, only a few seconds of each
-segment, with whole turns or periods, are computed at the sampling rate of the recording. The rest of the segment is treated as a
-repetition of these seconds.
+segment are computed at the sampling rate of the recording. They contain whole turns or periods. The rest of the segment is treated
+as a repetition of these seconds.
 
 The choice is greedy: each step takes the segment with the most expected evidence per second of test time, which includes moves and
 temperature changes. The search ends when the expected probability of the true explanation is high enough, or when no segment helps.
@@ -53,7 +53,7 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Contains the information that a segment with K channels gives about P columns, in units of the noise.
+    """Contains the expected information from a segment with K channels about P columns, in units of the noise.
 
     `within`: array of shape (P, P), information per second from changes within the segment. `means`: array of shape (K, P), mean of
     each column over the segment. `noise`: array of shape (K,), white noise density of each channel. `flicker`: array of shape (K,),
@@ -85,8 +85,8 @@ def foresee(
     """Yields the information that each segment would give if it were measured after the recording. `white`: array of shape (K,),
     standard deviation of the white noise of a sample.
 
-    `columns`: function that computes groups of columns for a recording. `widths`: number of columns in each group. The P columns
-    are numbered through all groups. A column is zero in a channel that it does not affect.
+    `columns`: function that computes groups of columns for a recording. `widths`: number of columns in each group. The P columns of
+    all groups are numbered consecutively. A column is zero in a channel that it does not affect.
     """
     noise = white / math.sqrt(observed.sample_rate)
     flicker = np.array([channel.flicker for channel in observed.channels])
@@ -118,10 +118,10 @@ def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array,
     `rows`: for each channel, the columns (n, P) at the samples. `noise`: array of shape (K,), white noise density. `seconds`:
     length of the dwell, s.
 
-    A component c·√2·cos θ of a column cannot be distinguished completely from the input of amplitude A and unknown phase
-    (`Observed.unknown_phase`). Let the samples have the covariance σ²·I + A²·w·wᵀ, where w = cos θ and |w|² = T/2 for a dwell T and
-    unit density of the noise. Then the fraction A²T/2 ÷ (σ² + A²T/2) of the information about this component is lost (Sherman and
-    Morrison). The same holds for sin θ."""
+    The nominal input has an amplitude A and an unknown phase (`Observed.unknown_phase`). A component c·√2·cos θ of a column cannot
+    be distinguished completely from this input. Let the samples have the covariance σ²·I + A²·w·wᵀ, where w = cos θ and |w|² = T/2
+    for a dwell T and unit density of the noise. Then the fraction A²T/2 ÷ (σ² + A²T/2) of the information about this component is
+    lost (Sherman and Morrison). The same holds for sin θ."""
     amplitude = np.abs(planned.unknown_phase[number])
     size = rows[0].shape[1]
     lost = np.zeros((size, size))
@@ -140,8 +140,8 @@ def following(
     """Returns the recording followed by additional segments, which have a motion but no outputs. Also returns, for each additional
     segment, the slice of its samples.
 
-    Segments whose index is not in `near` are represented by a few samples. Thus properties of the whole set of segments, such as
-    its orientations, do not depend on how many segments are sampled in full.
+    A segment whose index is not in `near` is represented by a few samples. Thus, the properties of the whole set of segments, such
+    as the orientations, do not depend on the number of segments that are sampled in full.
     """
     stubs = np.concatenate([np.arange(p.start, min(p.start + _STUB, p.stop)) for p in observed.segments()])
     counts = [min(_STUB, p.stop - p.start) for p in observed.segments()]
@@ -203,14 +203,15 @@ def _temperatures(segment: Segment, now: float) -> tuple[float, float]:
 
 Seconds = Callable[[Segment | None, Segment], float]
 SETTLED = 0.95
-"""Probability of an explanation at and above which no further measurement is needed. Proposals aim at a higher probability of the true
-explanation."""
+"""Probability of an explanation at and above which no further measurement is needed. Proposals aim at a probability of the true
+explanation that is higher than this value."""
 AIM = 0.97
 FAINT = 0.05
-"""Smallest probability of an effect that is worth a measurement if noise alone or something unknown is likeliest."""
+"""Smallest probability of an effect for which a measurement is proposed, if noise alone or an unknown cause is the most probable
+explanation."""
 LONGEST = 12 * 3600.0  # s of test time
 FEWEST = 4
-"""Smallest number of segments of a proposal: fewer might be outliers."""
+"""Smallest number of segments in a proposal. Fewer segments could be outliers."""
 _BUNDLE = 4  # segments at another temperature evaluated together: one rarely justifies the change
 _KEPT = 60  # options kept after the first round
 _REPEATS = (1, 2, 3, 5, 10, 20, 50)
@@ -224,9 +225,9 @@ class SegmentProposal:
     `segments`: the proposed segments in order; empty if nothing on the bench helps. `rivals`: names and present probabilities of
     the explanations that remain possible. `now`: expected probability of the true explanation at present. `probability`: expected
     probability of the true explanation after the proposed segments. `seconds`: test time that these segments take, s. `repeating`:
-    for comparison, the time [s] for which the recorded segments would have to be repeated, and the expected probability of the true
-    explanation after this time. `sensor`: description of an instrument that could distinguish the explanations, if the segments of
-    the bench cannot.
+    the corresponding values for a repetition of the recorded segments, for comparison: the test time [s], and the expected
+    probability of the true explanation after this time. `sensor`: description of an instrument that could distinguish the
+    explanations, if the segments of the bench cannot.
     """
 
     segments: tuple[Segment, ...]
@@ -333,8 +334,8 @@ def _chosen(rivals: Sequence[Rival], options: Sequence[Foreseen], seconds: Secon
 
 
 def _gains(rivals: Sequence[Rival], total: Array, loss: float, moves: Sequence[Sequence[Foreseen]]) -> list[float]:
-    """Returns how much each move reduces the expected loss if the information `total` (P, P) is already available. A move is one
-    segment or a bundle of segments."""
+    """Returns the reduction of the expected loss by each move, if the information `total` (P, P) is already available. A move is
+    one segment or a bundle of segments."""
     after = np.array([total + _sum(move, len(total)) for move in moves])
     gains: list[float] = (loss - expected_loss(rivals, after)).tolist()
     return gains
@@ -383,7 +384,7 @@ def _warmth(segment: Segment) -> float | None:
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
     """Removes chosen segments that are not needed to reach the target probability. If all chosen segments together do not reach the
-    target, the target is replaced by the probability that they do reach."""
+    target, the probability that they reach becomes the target."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:
@@ -402,9 +403,9 @@ def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
 
 
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
-    """Returns the test time [s] for which the recorded segments must be repeated, and the expected probability of the true
-    explanation that is then reached. The repetitions end when this probability is at least `aim`. If no number of repetitions is
-    enough, returns both values for the largest number considered."""
+    """Returns the test time [s] of the necessary repetitions of the recorded segments, and the expected probability of the true
+    explanation after them. The repetitions end when this probability is at least `aim`. If no number of repetitions is enough,
+    returns both values for the largest number considered."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:
@@ -426,7 +427,7 @@ class _Instrument:
 
 
 def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]) -> str:
-    """Describes the first instrument that would identify the true explanation; empty if there is no such instrument."""
+    """Describes the first instrument that would identify the true explanation. The text is empty if there is no such instrument."""
     few = [options[i] for i in np.unique(np.linspace(0, len(options) - 1, _LOOKED_AT).astype(int))]
     for instrument in _instruments(weighing):
         extended, information = _with(instrument, weighing, rivals, layout, few)
@@ -454,7 +455,7 @@ def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
     """Returns the rivals, extended by the instrument's own nominal parameters. Also returns the total information from all options,
-    if this instrument measures them in addition."""
+    for the case that the instrument also measures during these segments."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)
@@ -469,8 +470,8 @@ def _with(
 
 
 def _further(observed: Observed, own: int, layout: Layout) -> list[Column]:
-    """Returns the columns of the nominal parameters of the additional channels. Additional channels have the indices `own` and
-    above; the sensor under test does not have them."""
+    """Returns the columns of the nominal parameters of the additional channels. These are the channels that the sensor under test
+    does not have. Their indices are `own` and above."""
     return [column for column in nominal_columns(observed, layout.nominal) if min(column.parts) >= own]
 
 
@@ -488,8 +489,8 @@ def _columns(layout: Layout, channels: tuple[Channel, ...]) -> Callable[[Observe
 
 
 def _seen(layout: Layout) -> Array:
-    """Returns the information (P,) that a direct measurement of pointing gives about those amplitudes of table effects that are
-    angles."""
+    """Returns the information from a direct measurement of the table's pointing, shape (P,). Such a measurement gives information
+    about the amplitudes of table effects that are angles."""
     found = [np.zeros(layout.widths[0])]
     for part, width in zip(layout.parts, layout.widths[1:], strict=True):
         columns = part.weighed.variant.columns

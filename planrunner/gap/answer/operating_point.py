@@ -1,9 +1,9 @@
 """Computes how an effect on the output of the sensor changes with the nominal parameters.
 
-A dead zone or a limit acts on the output, so its size depends on the bias and the scale factors of the sensor. To first order in
-the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The expansion point θ₀ are the nominal parameters at which the
-form of the effect was computed. The columns of E are central differences with a step of one standard uncertainty of each parameter,
-because the exact derivative of a dead zone is infinite at its edge.
+A dead zone or a limit acts on the output. Its size therefore depends on the bias and the scale factors of the sensor. To first
+order in the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The nominal parameters θ₀ are those at which the form of
+the effect was computed. The columns of E are central differences. Their step is one standard uncertainty of each parameter, because
+the exact derivative of a dead zone is infinite at its edge.
 """
 
 from __future__ import annotations

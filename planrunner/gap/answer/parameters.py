@@ -36,8 +36,8 @@ def amplitudes(
     walking: bool = False,
     ratios: Array | None = None,
 ) -> list[ParameterEstimate]:
-    """Returns the posterior means and standard deviations of the amplitudes of an effect. The prior of the amplitudes has the most
-    probable size.
+    """Returns the posterior means and standard deviations of the amplitudes of an effect, for the most probable size of their
+    prior.
 
     `columns`: the columns that belong to this effect, if it is one of a set of effects. `walking`: True if a random walk of the
     gyros acts in addition. `ratios`: array of shape (K,), variance of the residuals of each channel, divided by the variance of the
@@ -66,7 +66,7 @@ def amplitudes(
 
 
 def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array | None) -> list[ParameterEstimate]:
-    """Increases the uncertainties of shape estimates, because the residuals are more than noise. `ratios`: the same as in
+    """Increases the uncertainties of shape estimates if the residuals are larger than the noise. `ratios`: the same as in
     `amplitudes`. The variances of the shape are multiplied by a weighted average of `ratios`. The weight of a channel is the energy
     of the effect in this channel."""
     if ratios is None:
@@ -114,7 +114,7 @@ def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[
 
 
 def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
-    """Returns a shape with a negative sign, for an effect without amplitude that the data require with the opposite sign. The
+    """Returns a negative shape for an effect without amplitude, if the data require the effect with the opposite sign. The
     magnitude of the shape is the fitted amplitude times the shape of the best form. A negative delay means that the table's angle
     is delayed instead of the outputs."""
     (share,), ((variance,),) = best.amplitudes
@@ -162,13 +162,13 @@ def of_noise(weighing: Weighing, effect: OutsideCoefficients) -> list[ParameterE
 
 
 _UNDETERMINED = 1e-6
-"""Share of a parameter that may lie in directions that the plan does not determine."""
+"""Largest fraction of a parameter that may lie in directions that the plan does not determine."""
 
 
 def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[ParameterEstimate]:
     """Estimates bias, scale factor and misalignment of every channel by weighted least squares. Terms that the data of the plan do
     not determine are omitted. The field `effect` of each estimate contains the name of the term, such as `accel_bias`. Effects that
-    the simulation does not contain influence these estimates."""
+    the simulation lacks influence these estimates."""
     terms = [
         f"{kind}_{part}"
         for kind in ("gyro", "accel")

@@ -1,17 +1,17 @@
-"""Examines what a fit leaves unexplained. Computes a goodness-of-fit test for every channel, the size of the unexplained part, and
-the dispersion, which corrects the evidence.
+"""Examines the part of a gap that a fit does not explain. Computes a goodness-of-fit test for every channel, the size of the
+unexplained part, and the dispersion, which corrects the evidence.
 
-The test asks whether noise alone explains the whitened residuals of a channel: the sum of their squares is compared with the χ²
-distribution, with Bonferroni's correction for the number of tests. The remainder is the part of a gap that the named effects,
-fitted to all segments, do not explain.
+The test determines whether noise alone explains the whitened residuals of a channel. It compares the sum of their squares with the
+χ² distribution, with Bonferroni's correction for the number of tests. The unexplained part is called the remainder; for it, the
+named effects are fitted to all segments.
 
-If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. If no explanation leaves only
-noise, the differences between log evidences are too large by this ratio, because the evidence treats the samples as independent,
-while the errors of an explanation are the same in all samples. In this case, the evidence is computed with a noise variance that is
-multiplied by the dispersion. This is the dispersion of quasi-likelihood (McCullagh and Nelder, Generalized Linear Models, 1989,
-section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932). This correction corresponds to a
-likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical Association 114, 2019). If chance can
-explain the ratio, the dispersion is 1. Without a misfit, the evidence therefore remains unchanged.
+If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. Sometimes no explanation
+leaves only noise. The differences between log evidences are then too large by this ratio. The reason is that the evidence treats
+the samples as independent, but the errors of an explanation are the same in all samples. In this case, the noise variance is
+multiplied by the dispersion before the evidence is computed. This is the dispersion of quasi-likelihood (McCullagh and Nelder,
+Generalized Linear Models, 1989, section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932). This
+correction corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical Association
+114, 2019). If chance can explain the ratio, the dispersion is 1. Therefore, without a misfit, the evidence does not change.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planrunner.base.arrays import Array
 from planrunner.gap.hypotheses.candidates import Weighed, Weighing
 
 LEVEL = 0.001
-"""Significance of the test: one recording in a thousand without misfit fails it."""
+"""Significance level of the test. Of a thousand recordings without misfit, one fails the test."""
 
 
 def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) -> float:
@@ -70,12 +70,12 @@ VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of th
 class Remainder:
     """Describes the part of a gap that the named effects do not explain.
 
-    `share`: size of the unexplained part divided by the size of the gap; both sizes are root mean squares without noise. It is 0 if
-    noise alone explains the residuals. `times_noise`: for each channel, root mean square of the residuals, in standard deviations
-    of the noise; 1 for noise alone. `sigma`: for each channel, the size √(χ² − ν) of all residuals together, in standard deviations
-    of the noise; 0 if they are not larger than the noise. `p`: p-value of the goodness-of-fit test over all channels. `passes`:
-    True if noise alone explains the residuals in every channel, and no pattern outside the catalogue explains them better. A misfit
-    of less than `VISIBLE` standard deviations of the noise is ignored.
+    `share`: size of the unexplained part divided by the size of the gap; both sizes are root mean squares without noise. `share` is
+    0 if noise alone explains the residuals. `times_noise`: for each channel, root mean square of the residuals, in standard
+    deviations of the noise; 1 for noise alone. `sigma`: for each channel, the size √(χ² − ν) of all residuals together, in standard
+    deviations of the noise; 0 if they are not larger than the noise. `p`: p-value of the goodness-of-fit test over all channels.
+    `passes`: True if noise alone explains the residuals in every channel, and no pattern outside the catalogue explains them
+    better. A misfit of less than `VISIBLE` standard deviations of the noise is ignored.
     """
 
     share: float

@@ -1,12 +1,11 @@
-"""Describes rival explanations after a diagnosis, and computes the log evidence between them that further measurements are expected
-to give.
+"""Describes rival explanations after a diagnosis, and computes how well further measurements are expected to distinguish them.
 
 Every explanation is a linear model that predicts further recordings. It consists of the nominal parameters and of effects with
-normally distributed amplitudes. The posterior from the recording is the prior for the next measurements. If explanation A is true,
-the expected log evidence of A against explanation B is therefore the Kullback-Leibler divergence between their predictions. This is
-the criterion of Box and Hill (Technometrics 9, 1967): T-optimality (Atkinson and Fedorov, Biometrika 62, 1975), averaged over the
-uncertainty of the amplitudes. Only the information matrix of the new measurements is needed, so the computing time does not depend
-on the number of samples.
+normally distributed amplitudes. The posterior from the recording is the prior for the next measurements. Therefore, if explanation
+A is true, the expected log evidence of A against explanation B is the Kullback-Leibler divergence between their predictions. This
+is the criterion of Box and Hill (Technometrics 9, 1967): T-optimality (Atkinson and Fedorov, Biometrika 62, 1975), averaged over
+the uncertainty of the amplitudes. Only the information matrix of the new measurements is needed, so the computing time does not
+depend on the number of samples.
 """
 
 from __future__ import annotations
@@ -30,8 +29,8 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
 
 @dataclass(frozen=True)
 class Rival:
-    """A rival explanation after a recording. `columns`: array of shape (p,), indices of the rival's columns among all columns.
-    `mean` (p,) and `precision` (p, p) describe the posterior of the amplitudes of these columns."""
+    """Describes a rival explanation after a recording. `columns`: array of shape (p,), indices of the rival's columns among all
+    columns. `mean` (p,) and `precision` (p, p) describe the posterior of the amplitudes of these columns."""
 
     name: str
     probability: float
@@ -53,8 +52,8 @@ class Rival:
 
 
 def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
-    """Returns the log evidence for rival i against rival j that measurements are expected to give if i is true, shape (…, R, R).
-    The information of the measurements has the shape (…, P, P)."""
+    """Returns the expected log evidence for rival i against rival j after measurements, if i is true, shape (…, R, R).
+    `information`: information of the measurements, shape (…, P, P)."""
     size = information.shape[-1]
     covariance = [np.linalg.inv(rival.precision) for rival in rivals]
     found = np.zeros((*information.shape[:-2], len(rivals), len(rivals)))
@@ -81,8 +80,8 @@ def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
 
 
 def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
-    """Returns the expected loss after measurements, shape (…): the expectation of −log of the probability of the true rival. The
-    information of the measurements has the shape (…, P, P). The best measurements have the smallest loss."""
+    """Returns the expected loss after measurements, shape (…). The loss is −log of the probability of the true rival. The best
+    measurements have the smallest expected loss. The information of the measurements has the shape (…, P, P)."""
     many = information.reshape(-1, *information.shape[-2:])
     at_once = max(1, _AT_ONCE // (len(rivals) * many[0].size)) if len(many) else 1
     parts = [
@@ -101,9 +100,9 @@ def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
 
 
 def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> Array:
-    """Averages a function of the posterior odds against the true rival, over the rivals and over the random log evidence.
-    `evidence`: array of shape (…, R, R), expected log evidence of each rival against each other one. The result has the shape (…).
-    `measure`: function that is averaged; its argument is the odds against the true rival."""
+    """Averages a function of the posterior odds against the true rival. The average covers the rivals and the random log evidence.
+    `evidence`: array of shape (…, R, R), expected log evidence of each rival against each other rival. The result has the shape
+    (…). `measure`: function that is averaged; its argument is the odds against the true rival."""
     share = np.array([rival.probability for rival in rivals])
     share = share / share.sum()
     total = np.zeros(evidence.shape[:-2])
@@ -118,7 +117,7 @@ def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array
 
 MOST = 5  # maximum number of explanations
 SILENT = ("none", "unknown")
-"""Explanations that predict nothing."""
+"""Explanations that make no predictions."""
 LEAST = 0.01  # smallest probability of an explanation
 
 
@@ -136,7 +135,8 @@ class ExplanationPart:
         return self.effect.id, self.weighed.variant.shape
 
     def on(self, observed: Observed) -> Sequence[Column]:
-        """Returns the columns of the effect for another recording; empty if the effect cannot act in that recording."""
+        """Returns the columns of the effect for another recording. The result is empty if the effect cannot act in that
+        recording."""
         shape = self.weighed.variant.shape
         if isinstance(self.effect, Shaped):
             return self.effect.at(observed, float(shape or 0.0)).columns
@@ -153,8 +153,9 @@ class Explanation:
 def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Explanation]:
     """Returns the most probable explanations that predict different recordings, at most `MOST`.
 
-    Effects that act only on the noise predict nothing: explanations that differ only in such effects count as one. "Unknown"
-    predicts nothing, and neither does "none". The two count as one explanation, with the name of the more probable one.
+    Effects that act only on the noise predict nothing. Explanations that differ only in such effects therefore count as one
+    explanation. "Unknown" and "none" also predict nothing. They count as one explanation, which has the name of the more probable
+    one.
     """
     by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
     silent = max(SILENT, key=lambda name: found.probability[name])
@@ -167,8 +168,8 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
 
 
 def _simplest(total: Mapping[str, float]) -> dict[str, float]:
-    """If a subset of a set of effects is more probable than the set itself, adds the probability of the set to that of the subset.
-    The reason is that the effects missing from the subset may be absent."""
+    """If a subset of a set of effects is more probable than the set itself, the probability of the set is added to the probability
+    of the subset. The reason is that the other effects of the set may be absent."""
     found: dict[str, float] = {}
     for name, value in sorted(total.items(), key=lambda item: item[0].count("+")):
         parts = set(name.split("+"))

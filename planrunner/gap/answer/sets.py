@@ -3,8 +3,8 @@ probable smaller sets, and fits all amplitudes again (forward selection with a b
 shapes again.
 
 In a quick evaluation, the amplitudes of a set are fixed at their most probable values, and every form of every other effect is
-evaluated on the residuals. The best sets are then evaluated in full: with a separate strength for every effect, at every setting of
-the noise that has a noticeable weight, and also with a random walk of the gyros.
+evaluated on the residuals. The best sets are then evaluated in full: with a separate strength for every effect, and at every
+setting of the noise that has a noticeable weight. They are also evaluated together with a random walk of the gyros.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Member:
     """Describes an effect of a set, in one of its forms.
 
     `candidate`: the effect with all its forms, evaluated alone or in addition to the other effects of the set. `form`: the chosen
-    form. `cost`: change of the log evidence if it is averaged over the shape of the effect; zero or negative.
+    form. `cost`: change of the log evidence, zero or negative, due to averaging over the shape of the effect.
     """
 
     candidate: Candidate
@@ -88,8 +88,8 @@ class EffectSet:
 
 @dataclass(frozen=True)
 class Sets:
-    """The evaluated sets of effects. `quick`: log evidence of each pair at the declared noise, from the quick evaluation. `full`:
-    the sets evaluated in full, by key."""
+    """Contains the evaluated sets of effects. `quick`: log evidence of each pair at the declared noise, from the quick evaluation.
+    `full`: the sets evaluated in full, by key."""
 
     quick: dict[str, float]
     full: dict[str, EffectSet] = field(repr=False)
@@ -131,8 +131,8 @@ def sets_of(
 
 
 def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
-    """Evaluates all pairs of a probable effect and any other effect. Returns the log evidence of each pair from a quick evaluation
-    at the declared noise, and the best pairs, evaluated in full."""
+    """Evaluates all pairs that consist of a probable effect and any other effect. Returns two results: the log evidence of each
+    pair from a quick evaluation at the declared noise, and the full evaluation of the best pairs."""
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
     quick: dict[str, tuple[float, tuple[Member, Member]]] = {}
     for first in map(Member.best, ranked):
@@ -148,7 +148,7 @@ def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, f
 
 
 def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[Candidate]) -> list[EffectSet]:
-    """Extends the most probable sets by one effect each, and evaluates the best of the larger sets in full."""
+    """Adds one effect to each of the most probable sets, and evaluates the best of the larger sets in full."""
     quick: dict[str, tuple[float, tuple[Member, ...]]] = {}
     for one in level:
         inside = {member.id for member in one.members}
@@ -177,7 +177,7 @@ def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
 
 
 def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """Returns the same set, with its evidence also computed for the case that a random walk acts in addition."""
+    """Returns the same set. Its evidence is also computed for the case that a random walk acts in addition."""
     if np.isfinite(one.walking) or not np.isfinite(weighing.log_prior[1]).any():
         return one
     log_bayes = _log_bayes(weighing, one.weighed, one.members, weighing.log_prior[1])
@@ -225,8 +225,8 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
-    """Assumes that the effect `a` acts with its most probable size. Yields, for each of the other effects, the best form under this
-    condition, and the log Bayes factor that this form adds."""
+    """Assumes that the effect `a` acts with its most probable size. Under this condition, yields for each of the other effects its
+    best form, and the increase of the log Bayes factor by this form."""
     if not others:
         return
     mean, covariance = a.amplitudes

@@ -2,14 +2,14 @@
 cannot distinguish.
 
 An effect that explains nearly all of a gap is named, even if an unknown cause acts in addition. The rest of the gap is reported as
-the remainder. The remainder may consist of nominal terms that a reduced model lacks. For example, if the simulation of a sensor has
-no bias, a small further deviation that no hypothesis explains must not prevent the naming of the bias. An effect can also be so
-strong that its deviation from its idealised form becomes visible. The energy of this deviation, which the flexible patterns outside
-the catalogue seem to explain, is called form residue.
+the remainder. The remainder may consist of nominal terms that a reduced model lacks. For example, the simulation of a sensor may
+have no bias. The bias is then named, even if there is a small further deviation that no hypothesis explains. An effect can also be
+so strong that its deviation from its idealised form becomes visible. The flexible patterns outside the catalogue then seem to
+explain this deviation. The energy of the deviation is called form residue.
 
-Confusability states which effects a plan can distinguish, before and after it is recorded. ρ(A|B) is a fraction of the energy of
-effect A's projected, whitened signature: the fraction that effect B reproduces with its own amplitudes. If effect A is fitted with
-the energy λ, λ(1 − ρ) is the non-centrality of the test between A and B.
+The confusability states which effects a plan can distinguish. It can be computed before and after the recording. Consider the
+whitened signature of effect A after projection. The confusability ρ(A|B) is the fraction of its energy that effect B reproduces
+with suitable amplitudes. If λ is the energy of the fitted effect A, the test between A and B has the non-centrality λ(1 − ρ).
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def reproduced(signature: Sequence[Array], rivals: Sequence[Weighed]) -> float:
 
 
 def energy_beside(together: EffectSet, name: str) -> float:
-    """Returns the fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act.
-    This energy cannot be a residue that comes from an imperfect form of the other effects."""
+    """Returns the fraction of an effect's fitted energy that lies in channels on which the other effects of the set do not act. An
+    imperfect form of the other effects cannot cause this energy."""
     weighed, own = together.weighed, together.columns(name)
     amplitudes, _ = weighed.amplitudes
     others = np.ones(len(amplitudes), dtype=bool)
@@ -67,8 +67,8 @@ def energy_beside(together: EffectSet, name: str) -> float:
 
 
 def shared(best: Sequence[Weighed]) -> Array:
-    """Computes the confusability ρ(A|B) before data are recorded, one row for each A. It is averaged over amplitudes from A's
-    prior: ρ = tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa), where G is the Gram matrix of the signatures of A and B."""
+    """Computes the confusability ρ(A|B) before data are recorded, one row for each effect A. The confusability is averaged over
+    amplitudes from the prior of A: ρ = tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa), where G is the Gram matrix of the signatures of A and B."""
     bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
     parts = [slice(low, high) for low, high in pairwise(bounds)]
     blocks = [np.hstack(channel) for channel in zip(*(item.by_channel for item in best), strict=True)]
@@ -82,8 +82,8 @@ def shared(best: Sequence[Weighed]) -> Array:
 
 
 def matrix(candidates: Sequence[Candidate]) -> tuple[list[str], Array]:
-    """Returns the names of all candidates that have a signature, and the matrix of their ρ(A|B), each at its most probable shape.
-    The matrix has one row for each A."""
+    """Returns the names of all candidates that have a signature, and the matrix of their confusabilities ρ(A|B). Each effect has
+    its most probable shape. The matrix has one row for each effect A."""
     present = [candidate for candidate in candidates if np.isfinite(candidate.log_bayes).any()]
     return [c.id for c in present], shared([candidate.best for candidate in present])
 
@@ -96,11 +96,11 @@ TWO_NAMES = 4.0  # nats of evidence between hypotheses that may have the same ca
 
 def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
     """Finds an effect or a pair that explains nearly as much as the most probable hypothesis `top`, and more than 50 σ. Returns
-    this effect or pair, and the effects of `top` that then count as the remainder. Returns None if there is no such effect, or if
-    `top` consists only of terms of the nominal model.
+    this effect or pair, and the other effects of `top`, which then count as the remainder. Returns None if there is no such effect,
+    or if `top` consists only of terms of the nominal model.
 
-    `log_evidence`: log evidence of every hypothesis relative to "none"; for a strong effect, it is about half the explained energy.
-    `signatures`: effects that change more than the noise.
+    `log_evidence`: log evidence of every hypothesis relative to "none". For a strong effect, it is about half of the explained
+    energy. `signatures`: effects that change more than the noise.
     """
     parts = set(top.split("+"))
     if parts <= set(NOMINAL_TERMS):
@@ -118,8 +118,8 @@ def _most(log_evidence: Mapping[str, float], among: Collection[str], least: floa
 
 
 def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float]:
-    """Returns hypotheses, each with its probability relative to that of `best`, at most 1. Hypotheses that explain clearly more of
-    the gap than `best` are left out."""
+    """Returns hypotheses, each with the ratio of its probability to the probability of `best`, at most 1. Hypotheses that explain
+    clearly more of the gap than `best` are omitted."""
     away = {name: value - log_evidence[best] for name, value in log_evidence.items()}
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
 
@@ -133,13 +133,12 @@ SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reporte
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The verdict of a diagnosis.
-
-    `kind`: none, effect, pair, several, unknown or indistinguishable. `effects`: the effects of the most probable hypothesis.
-    `members`: the hypotheses that this plan cannot distinguish, including `effects`; a set of effects is written 'a+b'. `residue`:
-    an effect, or "unknown", which may be only form residue: energy that is left because the strongest named effect deviates from
-    its idealised form. `residue` may be one of the named effects. `something_else`: True if something that the catalogue does not
-    contain acts in addition to the named effects. `noise`: effects on the level of the noise that probably act in addition.
+    """Contains the verdict of a diagnosis. `kind`: none, effect, pair, several, unknown or indistinguishable. `effects`: the
+    effects of the most probable hypothesis. `members`: the hypotheses that this plan cannot distinguish, including `effects`; a set
+    of effects is written 'a+b'. `residue`: an effect, or "unknown", that may be only form residue. Form residue is energy that
+    remains because the strongest named effect deviates from its idealised form. `residue` may be one of the named effects.
+    `something_else`: True if something that the catalogue does not contain acts in addition to the named effects. `noise`: effects
+    on the level of the noise that probably act in addition.
     """
 
     kind: str
@@ -156,7 +155,7 @@ class Verdict:
 
     @property
     def key(self) -> str:
-        """Returns the name of the hypothesis that the verdict states."""
+        """Returns the name of the hypothesis in the verdict."""
         return key_of([*self.effects, *([UNKNOWN] if self.something_else else [])]) if self.effects else self.kind
 
 
@@ -206,17 +205,17 @@ def _without(name: str, effect: str) -> str:
 
 
 def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None, left: bool) -> Verdict:
-    """Returns the verdict that names the effects or, if there are rivals, the class that consists of the effects and their
-    rivals."""
+    """Returns the verdict that names the effects. If there are rivals, the verdict names the class that consists of the effects and
+    their rivals."""
     if len(rivals) > 1:
         return Verdict("indistinguishable", effects, rivals, residue, left)
     return Verdict({1: "effect", 2: "pair"}.get(len(effects), "several"), effects, (), residue, left)
 
 
 def ambiguity_set(probability: Mapping[str, float], said: Verdict) -> list[str]:
-    """Returns the most probable hypotheses, in descending order, up to a total probability of 95 %. The hypothesis of the verdict
-    is added if it is not among them. It may be missing if a more probable hypothesis explains only form residue, or if "none" is so
-    probable that no effect is named."""
+    """Returns the most probable hypotheses, in descending order, up to a total probability of 95 %. If the hypothesis of the
+    verdict is not among them, it is added. There are two cases: a more probable hypothesis explains only form residue, or "none" is
+    so probable that no effect is named."""
     chosen, total = [], 0.0
     for name, value in probability.items():
         chosen.append(name)
@@ -273,12 +272,12 @@ def _rival_sets(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
-    """Examines the set of effects `named`. Returns two values: the effects that the verdict names, and the weakest effect. The
-    second value is None unless the weakest effect may be form residue. Form residue is energy that is left because the strongest
-    effect deviates from its idealised form. The weakest effect may be form residue if two conditions hold: the other effects
-    explain more than 50 σ, and the weakest effect adds less than the fraction `RESIDUE` of what all effects explain together. If it
-    adds less than the fraction `FORM`, it is not named. An effect is not form residue if most of its energy is in channels on which
-    the other effects do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
+    """Examines the set of effects `named`. Returns two values: the effects that the verdict names, and the weakest effect if it may
+    be form residue; otherwise, the second value is None. Form residue is energy that remains because the strongest effect deviates
+    from its idealised form. The weakest effect may be form residue if two conditions are true: the other effects explain more than
+    50 σ, and the weakest effect adds less than the fraction `RESIDUE` of what all effects explain together. If it adds less than
+    the fraction `FORM`, it is not named. An effect is not form residue if most of its energy is in channels on which the other
+    effects do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

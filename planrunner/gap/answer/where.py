@@ -2,11 +2,11 @@
 catalogue does not contain the cause, also determines the form of the gap along this factor.
 
 The factors are orientation, rate, temperature, time, angle of the table, and frequency band. The evidence for the patterns of the
-open set determines which factor the whitened residual of a channel follows. The levels of a factor are compared by a score: the
-excess of their energy over that of pure noise, in standard deviations of the energy of pure noise. Many levels are examined, so a
-single high score may be chance. The p-value of a level is therefore computed for pure noise that is projected like the data. It is
-the probability that the highest score of all levels is at least as high as the score of this level (max-statistic parametric
-bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
+open set determines which factor the whitened residual of a channel follows. The levels of a factor are compared by a score. The
+score of a level is the difference between its energy and the energy of pure noise, in standard deviations of the energy of pure
+noise. Many levels are examined, so a single high score may be chance. Therefore, pure noise is simulated and projected like the
+data. The p-value of a level is the probability that the highest score of all levels in pure noise is at least as high as the score
+of this level (max-statistic parametric bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
 
 The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The most probable pattern determines the factor
 that an unknown gap follows. The residuals of the simulation give the form of this gap.
@@ -38,17 +38,17 @@ REPLICATES = 400
 SEED = 20
 _LEVELS = 4  # bins of temperature and time
 _NEAR = math.sqrt(2 - 2 * 0.999)
-"""Smallest cosine between an axis and a direction for which the direction's word is used."""
+"""Smallest cosine of the angle between an axis and a direction for which the axis is described by the word for the direction."""
 
 
 @dataclass(frozen=True, slots=True)
 class MisfitPlace:
     """Describes a part of the recording in which the gap appears.
 
-    `share`: fraction of the energy above the noise. Every factor divides the same energy: the shares of one factor, over all
-    channels, add up to at most 1; shares of different factors overlap. `of`: the quantity of which `share` is a fraction. It is
-    `gap` or, for energy outside the basis, `noise`; such energy is compared with the noise of the channel. `p`: p-value, adjusted
-    for the number of parts of the recording that are examined.
+    `share`: fraction of the energy that exceeds the noise. Every factor divides the same energy into levels. The shares of all
+    levels of one factor, over all channels, add up to at most 1; the shares of different factors overlap. `of`: the quantity of
+    which `share` is a fraction. It is `gap`, or `noise` for energy outside the basis, which is compared with the noise of the
+    channel. `p`: p-value, adjusted for the number of parts of the recording that are examined.
     """
 
     channel: str
@@ -63,9 +63,9 @@ def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPla
     """Lists all parts of the recording that were examined, the most conspicuous first. `kinds`: for each pattern outside the
     catalogue, the log Bayes factor (K,) of the pattern in each channel alone.
 
-    The best level of each channel and factor comes first. These levels are ranked by the evidence that the residual of the channel
-    follows the factor. This evidence is averaged over the patterns of the factor, which penalises factors with many levels. The
-    other levels follow in the order of their scores.
+    The list begins with the best level of each channel and factor. These levels are ranked by the evidence that the residual of the
+    channel follows the factor. This evidence is averaged over the patterns of the factor, which penalises factors with many levels.
+    The other levels follow in the order of their scores.
     """
     outside = _outside(weighing, kinds)
     evidence = _by_factor(outside[1], kinds)
@@ -101,8 +101,8 @@ def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
-    """Returns the entry that represents noise or a tone outside the basis. The p-value of this entry is Markov's bound: for noise
-    alone, a Bayes factor of B or more has at most the probability 1/B."""
+    """Returns the entry for noise or a tone outside the basis. The p-value of this entry follows from Markov's inequality: for
+    noise alone, a Bayes factor of at least B has at most the probability 1/B."""
     declared = weighing.declared.channels[channel]
     level = (declared.white**2 * weighing.observed.sample_rate + declared.resolution**2 / 12) / weighing.white[
         channel
@@ -112,8 +112,8 @@ def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -
 
 
 def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
-    """Yields, for every channel and level, the place and its score: the excess of the energy over that of pure noise, in standard
-    deviations of the energy of pure noise."""
+    """Yields the place and its score for every channel and level. The score is the difference between the energy and the energy of
+    pure noise, in standard deviations of the energy of pure noise."""
     channels = [channel.name for channel in weighing.observed.channels]
     listed = list(_masks(weighing))
     masks = np.array([mask for _, _, mask in listed], dtype=float)
@@ -187,7 +187,8 @@ def _binned(values: Array, unit: str) -> list[str]:
 
 
 def _up(attitude: Array) -> str:
-    """Describes the direction of the vertical in the sensor's axes. Of a pose in an unknown orientation, nothing else is known."""
+    """Describes the direction of the vertical in the sensor's axes. For a pose in an unknown orientation, only this direction is
+    known."""
     return "up at " + ", ".join(f"{letter} {value:.2f}" for letter, value in zip("xyz", attitude[:, 2], strict=True))
 
 
@@ -199,7 +200,7 @@ def _words(attitude: Array) -> str:
 
 
 SEEN = 3.0
-"""Log Bayes factor from which a channel shows the pattern."""
+"""Smallest log Bayes factor at which a channel shows the pattern."""
 
 
 @dataclass(frozen=True)
@@ -214,11 +215,10 @@ class FormPoint:
 
 @dataclass(frozen=True)
 class UnknownForm:
-    """The form of an unknown cause.
-
-    `pattern`: name of the pattern in words. `factor`: the factor that the gap follows. `channels`, `units`: channels that show the
-    gap, and their units. `share`: fraction of the gap's energy in all channels; None for noise and tones, which lie outside the
-    coefficients. `points`: the offsets at each level; empty if the pattern does not consist of offsets.
+    """Describes the form of an unknown cause. `pattern`: name of the pattern in words. `factor`: the factor that the gap follows.
+    `channels`, `units`: channels that show the gap, and their units. `share`: fraction of the energy of the gap in all channels. It
+    is None for noise and tones, which lie outside the coefficients. `points`: the offsets at each level; empty if the pattern does
+    not consist of offsets.
     """
 
     pattern: str

@@ -1,15 +1,17 @@
 """Computes Bayes factors: the evidence for an effect with unknown amplitudes, relative to no effect.
 
-The strength of an effect is its energy λ: the energy of its signature in units of the noise, after the part that the nominal
-parameters absorb has been removed. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to
-`STRONGEST`. Weaker effects cannot be distinguished from no effect; they count as absent. Amplitudes θ ~ N(0, s²·D) with a
-log-uniform s² have the same directions, but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed in three
-steps. For given s², the Bayes factor of the Gaussian model is log Bayes factor = −½·log det(I + s²DG) + ½·s²·cᵀD½(I +
-s²D½GD½)⁻¹D½c, where G is the Gram matrix of the signatures and c is the product of the signatures with the data. This Bayes factor
-is then multiplied by the posterior probability that λ = θᵀGθ is at least `WEAKEST`. Finally, the product is averaged over log s².
-For given s², λ is a sum of scaled non-central χ² variables; its distribution is approximated by a scaled χ² with the same mean and
-variance (Patnaik, Biometrika 36, 1949). Above `STRONGEST`, the prior density continues, because a stronger effect is still the same
-effect.
+The strength of an effect is its energy λ. This is the energy of the effect's signature in units of the noise, without the part that
+the nominal parameters absorb. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`.
+Weaker effects count as absent, because they cannot be distinguished from no effect. Amplitudes θ ~ N(0, s²·D) with a log-uniform s²
+have the same directions, but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed in three steps. First,
+the log Bayes factor of the Gaussian model is computed for given s²:
+
+    −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c
+
+Here, G is the Gram matrix of the signatures, and c is the product of the signatures with the data. Second, this Bayes factor is
+multiplied by the posterior probability that λ = θᵀGθ is at least `WEAKEST`. Third, the product is averaged over log s². For given
+s², λ is a sum of scaled non-central χ² variables; its distribution is approximated by a scaled χ² with the same mean and variance
+(Patnaik, Biometrika 36, 1949). Above `STRONGEST`, the prior density continues, because a stronger effect is still the same effect.
 """
 
 from __future__ import annotations
@@ -26,15 +28,15 @@ _SWEEPS = 3
 _ROUNDING = 1e-14  # of the trace of a matrix, added to its diagonal
 ENERGIES = np.geomspace(0.5, 1e6, 25)  # grid of s², expressed as the expected energy
 GAIN = 0.01
-"""Standard deviation of an amplitude that physics fixes to 1: the output that an effect changes is known up to the scale factor and the
-misalignment of the sensor, which are seldom larger."""
+"""Standard deviation of an amplitude that physics fixes to 1. The effect changes the output, which is known except for the scale
+factor error and the misalignment of the sensor. These are rarely larger than this value."""
 
 
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
     """Computes the log Bayes factor, averaged over λ, for stacked arrays gram (…, p, p) and score (…, p). The arrays are in units
     of the prior magnitudes (D = I).
 
-    `trace`: energy of the effect for an amplitude of 1, which scales the grid of s²; by default it is tr(gram) of the first stacked
+    `trace`: energy of the effect for an amplitude of 1, which scales the grid of s². The default is tr(gram) of the first stacked
     array.
     """
     return averaged(by_energy(gram, score, trace))
@@ -103,7 +105,7 @@ def held_amplitude(gram: float, score: float) -> tuple[float, float]:
 
 
 def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
-    """Computes how the log Bayes factor changes if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of
+    """Computes the change of the log Bayes factor if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of
     N(0, s²). `scales`: array of shape (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density
     at amplitude 1 (Dickey, Ann. Math. Stat. 42, 1971)."""
     at = np.asarray(held)
@@ -126,8 +128,8 @@ def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tu
 
 
 def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
-    """Returns, for each of p columns, the most probable s² of the effect to which the column belongs. The s² are found effect by
-    effect, while the s² of the other effects are fixed."""
+    """Returns, for each of p columns, the most probable s² of the effect to which the column belongs. The search varies the s² of
+    one effect at a time and keeps the s² of the other effects fixed."""
     ends = np.cumsum(widths or (len(score),))
     parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
     traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]
@@ -146,8 +148,8 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
     """Returns the log Bayes factor of the hypothesis that two effects act together. The first effect has the columns 0 … first − 1,
-    the second the remaining columns. Each effect has a separate s², averaged over the grid `energies`, and at least the strength
-    `WEAKEST`."""
+    and the second effect has the remaining columns. Each effect has a separate s², averaged over the grid `energies`, and at least
+    the strength `WEAKEST`."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))
@@ -162,8 +164,8 @@ def set_log_bayes_factor(
     for the most probable s² starts.
 
     A grid over all s² together would have one dimension for each effect. Instead, the most probable s² are found for one effect at
-    a time. The average over the s² of one effect is then computed while the other s² are fixed at their most probable values. This
-    is exact if the integrand is a product of functions, each of which depends on the s² of one effect.
+    a time. Then the average over the s² of one effect is computed, with the other s² fixed at their most probable values. The
+    result is exact if the integrand is a product of functions that each depend on the s² of one effect only.
     """
     grids = [energies / trace for trace in traces]
     start = near[np.cumsum(widths) - 1]
@@ -193,8 +195,8 @@ def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
 
 
 def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
-    """Returns the log Bayes factor (E,) of several effects at E combinations of their s² (E, effects), plus the logarithm of the
-    probability that each effect has at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
+    """Returns the log Bayes factor (E,) of several effects at E combinations of their s² (E, effects). It includes the logarithm of
+    the probability that each effect has at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
     p = len(score)
     root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]

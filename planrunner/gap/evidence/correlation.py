@@ -1,8 +1,8 @@
 """Represents the covariances between the coefficients of a segment.
 
-Coefficients of different segments are independent, apart from slow noise, which acts on the means. The covariance of all coefficients of a
-channel therefore consists of one block for each segment. Blocks of different sizes are padded with the identity, so that all of them are
-factorised at once.
+Coefficients of different segments are independent, except that slow noise correlates the means. The covariance of all coefficients
+of a channel therefore consists of one block for each segment. Blocks of different sizes are padded with the identity, so that all
+of them are factorised at once.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Blocks:
         return bool((self.matrix - self.matrix * np.eye(self.matrix.shape[1])).any())
 
     def times(self, value: float) -> Blocks:
-        """Returns the blocks, multiplied by a number."""
+        """Returns the blocks multiplied by a number."""
         return Blocks(self.size, self.matrix * value)
 
     def plus(self, variances: Array) -> Blocks:
@@ -62,8 +62,8 @@ class Blocks:
 
 
 class Correlation:
-    """Contains the correlations between the M coefficients of a channel. `apart` converts standardised coefficients, each of which
-    has the variance 1, to independent ones; `joined` converts independent coefficients to standardised ones."""
+    """Contains the correlations between the M coefficients of a channel. `apart` converts standardised coefficients, which have the
+    variance 1, to independent coefficients. `joined` does the inverse."""
 
     def __init__(self, covariance: Blocks):
         root = np.sqrt(np.diagonal(covariance.matrix, axis1=1, axis2=2))

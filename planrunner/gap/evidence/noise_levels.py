@@ -1,9 +1,9 @@
 """Computes the evidence for the effects that act only on the noise. White noise and resolution are compared with their
 declarations.
 
-A declaration can be wrong. It is assumed to be correct within a few per cent with probability 0.8. Otherwise it is wrong by up to a
-factor of two, either by the same factor in all channels or by a different factor in each triad. Only larger deviations, or
-deviations of the gyros alone, are evidence of excess noise.
+A declaration can be wrong. It is assumed to be correct within a few per cent with probability 0.8. Otherwise, the declaration is
+wrong by up to a factor of two. This factor is either the same in all channels or different in each triad. Only larger deviations,
+or deviations of the gyros alone, are evidence of excess noise.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from planrunner.observation.lattice import COARSER, coarsening, holds, seen_leve
 HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
 WRONG = 0.2  # chance that it is off by up to a factor of two
 EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))
-"""ln of (true ÷ declared white noise), its energy (ln ratio ÷ `HOLDS`)² log-uniform like that of every effect."""
+"""Possible excesses of the white noise: the logarithms of the ratio of the true to the declared noise. The energy of an excess is
+(logarithm ÷ `HOLDS`)². It is log-uniform, like the energy of every effect."""
 _TRIADS = ("gyro", "accel")
 CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not seen
 
@@ -46,16 +47,14 @@ def counts(observed: Observed) -> Array:
 
 
 Level = Literal["declared", "white", "resolution"]
-"""What the noise of a triad is: as declared, excess white noise, or as declared with a coarser count."""
+"""Possible states of the noise of a triad: as declared, excess white noise, or as declared but with a coarser count."""
 
 
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:
-    """Computes the log density of the measured white levels for every combination of a noise state of the gyros and one of the
-    accelerometers.
-
-    If the noise of a triad, declared or measured, is too small to dither its counts, there is no white level to compare. The white
-    level of this triad is then assumed to deviate from its declaration as much as the level of the other triad. If neither triad
-    can be compared, both are assumed to be as declared.
+    """Computes the log density of the measured white levels for every combination of two noise states: one of the gyros and one of
+    the accelerometers. A triad whose noise is too small to dither the counts has no white level to compare. The level of this triad
+    is then assumed to deviate from its declaration as much as the level of the other triad. If neither triad can be compared, both
+    levels are assumed to be as declared.
     """
     declared = [channel.resolution or step for channel, step in zip(observed.channels, steps, strict=True)]
     (plain, sigma), (counted, _) = (_excess(observed, white, degrees, each) for each in (declared, steps))
@@ -93,7 +92,7 @@ def _other(kind: str) -> str:
 
 
 def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[float] | Array) -> bool:
-    """Returns True if the triad has a channel whose declared and measured noise are both too small to dither its counts."""
+    """Returns True if, in any channel of the triad, both the declared and the measured noise are too small to dither the counts."""
     for index in observed.of_kind(kind):
         declared = observed.channels[index].white ** 2 * observed.sample_rate + counts_[index] ** 2 / 12
         if is_coarse(max(float(white[index]), np.sqrt(declared)), counts_[index]):
@@ -121,8 +120,8 @@ def _excess(
 
 
 def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
-    """Returns, for each channel, the log Bayes factor of the hypothesis that the white noise is larger than declared, shape (K,).
-    The alternative is that the declaration is right or has a usual error."""
+    """Returns, for each channel, the log Bayes factor of two hypotheses, shape (K,). In the first, the white noise is larger than
+    declared. In the second, the declaration is correct or has a usual error."""
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:
@@ -138,8 +137,8 @@ def _normal(x: Array | float, sigma: float) -> Array:
 
 
 def _within_two(x: Array | float) -> Array:
-    """Returns the value at x of a probability density. It is uniform between −ln 2 and ln 2, which is a factor of two in either
-    direction. It has soft edges of 10 %; beyond these, it has a small constant value."""
+    """Returns the value at x of a probability density. The density is uniform between −ln 2 and ln 2, which is a factor of two in
+    either direction. Its edges are smoothed over 10 %. Outside the edges, the density has a small constant value."""
     edge = 0.1
     top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return np.asarray(top / (2 * np.log(2.0)) + 1e-9)

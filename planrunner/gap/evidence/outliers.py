@@ -7,12 +7,12 @@ is therefore compared with the value that all other samples of its segment predi
 Let Σ be the covariance of the noise, V the basis of the segment, x the samples, and P = Σ⁻¹ − Σ⁻¹V(VᵀΣ⁻¹V)⁻¹VᵀΣ⁻¹. Then the
 estimated error of sample t is (Px)_t/P_tt, and its variance is 1/P_tt (Chang, Tiao and Chen, "Estimation of time series parameters
 in the presence of outliers", Technometrics 30, 1988). The discrete cosine transform makes Σ diagonal, except near the ends of the
-segment. At an end of the segment, there is no further sample that could cancel the error of the last sample. If this error is
-large, the last sample also counts as an outlier.
+segment. At an end of the segment, there is no further sample that could cancel the error of the outermost sample. If this error is
+large, the outermost sample also counts as an outlier.
 
-A step of the signal also gives a large error of a sample. A sample is therefore an outlier only if no step near it explains more of
-the signal than the outlier does (Tsay, "Outliers, level shifts, and variance changes in time series", Journal of Forecasting 7,
-1988), and if its segment has few outliers.
+A step of the signal also causes a large estimated error of a sample. A sample is therefore an outlier only if two conditions hold:
+its segment has few outliers, and no step near the sample explains more of the signal than the outlier does (Tsay, "Outliers, level
+shifts, and variance changes in time series", Journal of Forecasting 7, 1988).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SHARE = 1e-3
 LARGEST = 30  # limit of that share, because the time grows with the square of the number of outliers
 LEAST = 64  # samples of a segment that is examined
 _NEAR = np.array([*range(-4, 6), -32, -24, -16, -12, -8, -6, 7, 9, 13, 17, 25, 33])
-"""Where a step may begin, in samples after an outlier."""
+"""Possible starts of a step, in samples after an outlier."""
 _TRIED = 16  # samples with the largest errors, for which P_tt is computed exactly
 _ROUGHLY = 0.5  # share of the exact statistic that the rough one reaches at least
 _DEVIATION = 0.6745  # median absolute value of a normal variable
@@ -42,8 +42,8 @@ _DEVIATION = 0.6745  # median absolute value of a normal variable
 
 @dataclass(frozen=True)
 class Pulses:
-    """Errors of single samples. `rows`: array of shape (p,), rows of the samples. `sizes`: array of shape (p,), errors of these
-    samples."""
+    """Contains errors of single samples. `rows`: array of shape (p,), rows of the samples. `sizes`: array of shape (p,), errors of
+    these samples."""
 
     rows: NDArray[np.int64]
     sizes: Array
@@ -83,8 +83,8 @@ def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.i
 
     `basis`: array of shape (n, m), cosine transforms of m vectors that the samples may contain with unknown amplitudes. `variance`:
     array of shape (n,), variance of the noise in each coefficient of the cosine transform. `known`: rows of samples that are
-    already known to be wrong. If too many outliers are found, only the known rows are returned; if there are too many known rows,
-    none are returned.
+    already known to be wrong. If too many outliers are found, only the known rows are returned. If there are too many known rows,
+    no rows are returned.
     """
     from scipy.fft import dct, idct
 
@@ -118,7 +118,7 @@ def pulses_in(samples: Array, basis: Array, variance: Array, known: NDArray[np.i
 
 def _solved(basis: Array, rows: list[int], root: Array) -> tuple[Array, Array]:
     """Whitens columns: the vectors `basis` (n, m), and a unit pulse at each of the rows. Returns an orthonormal basis Q of the
-    whitened columns, and the matrix T for which Q = (whitened columns)·Tᵀ. `root`: array of shape (n,), inverse standard
+    whitened columns, and the matrix T, defined by Q = (whitened columns)·Tᵀ. `root`: array of shape (n,), inverse standard
     deviations."""
     columns = np.column_stack([basis, _unit(len(root), rows)]) * root[:, None]
     size = np.linalg.norm(columns, axis=0)
@@ -144,7 +144,7 @@ def _diagonal(weight: Array) -> Array:
 
 
 def _left(columns: Array, q: Array) -> Array:
-    """Returns the energies (p,) of columns (n, p) after removal of their part that lies in the span of q."""
+    """Returns the energies (p,) of columns (n, p) after the part in the span of q has been removed."""
     return np.asarray(np.maximum((columns**2).sum(0) - ((q.T @ columns) ** 2).sum(0), 1e-300))
 
 

@@ -1,7 +1,5 @@
-"""Checks a recording before its diagnosis, and reports what it finds as findings.
-
-A finding is an error if a diagnosis would be empty or wrong. It is a warning if the diagnosis can continue, but the user should
-know about the problem.
+"""Checks a recording before its diagnosis, and reports problems as findings. A finding is an error if a diagnosis would be empty or
+wrong. A finding is a warning if the diagnosis can continue, but the user should know about the problem.
 """
 
 from __future__ import annotations
@@ -21,38 +19,43 @@ from planrunner.plan.schedule import Rest, Spin
 from planrunner.plan.units import STANDARD_GRAVITY
 
 INTERVALS = 1.5
-"""A step in time longer than this many sample intervals is a gap; shorter ones are jitter."""
+"""Number of sample intervals above which a step of the time is a gap. Shorter steps are jitter."""
 RATE_TOLERANCE = 0.1
-"""Relative deviation from the declared sample rate above which a segment has a wrong clock."""
+"""Relative deviation from the declared sample rate above which the clock of a segment counts as wrong."""
 MOST_JUMPS = 10
 """Number of equally long steps in a segment above which these steps show another sample rate, and not lost samples."""
 PRESENT = 0.9
-"""Fraction of the planned dwell below which a segment is short; fraction of usable rows below which it is poor."""
+"""Limit for two fractions of a segment. Below it, the recorded fraction of the planned dwell is reported as short, and the fraction
+of usable rows as poor."""
 STIRRED = {"gyro": np.radians(1.0), "accel": 0.1 * STANDARD_GRAVITY}
-"""Scatter of a channel's stimulus over the segments (rad/s, m/s²) above which a misfit can be seen."""
+"""Scatter of a channel's stimulus over the segments [rad/s, m/s²] above which a misfit is visible."""
 MISFIT = 0.5
-"""The nominal model does not fit if its residual exceeds this share of the planned input, or if its matrix differs from identity by more
-than this, which no scale factors and misalignments explain."""
+"""Limit for the misfit of the nominal model. The model does not fit if its residual exceeds this fraction of the planned input, or
+if its matrix differs from the identity by more than this value. Scale factors and misalignments do not explain such a
+difference."""
 OTHER_NOISE = 5.0
-"""Ratio of noise to its declaration, or the inverse, above which the figure is wrong or the channel is defective."""
+"""Ratio of the noise to its declaration, or the inverse ratio, above which the declaration is wrong or the channel is defective."""
 
 PARTS = 20
-"""Parts of a segment whose mean rates are compared."""
+"""Number of parts of a segment whose mean rates are compared."""
 UNSTEADY = 0.02
-"""Deviation from a steady rate, relative to the rate, that no effect of the catalogue causes at the ends of a segment alone."""
+"""Smallest relative deviation from a steady rate that is reported. No effect of the catalogue causes such a deviation only at the
+ends of a segment."""
 UNEVEN = 0.1
-"""Scatter of the mean rates, relative to the rate, above which the rate is nowhere steady, as in a turn by hand."""
+"""Scatter of the mean rates, relative to the rate, above which the rate counts as never steady, for example in a turn by hand."""
 FAR = 6.0
-"""Standard deviations beyond which the mean of a part is not due to scatter."""
+"""Number of standard deviations above which scatter does not explain the deviation of a part's mean."""
 EXCHANGED = 10.0
-"""Ratio of misfits above which two labels count as exchanged: no effect of the catalogue is undone by an exchange to this degree."""
+"""Ratio of two misfits above which two labels count as exchanged. An exchange of labels cannot compensate an effect of the
+catalogue so well."""
 RANK = 1e-9
 """Singular value, relative to the largest, below which a direction of the stimulus counts as constant."""
 SPARE = 3
-"""Segments beyond the number of parameters that are needed to find exchanged labels."""
+"""Number of segments, in addition to the number of parameters, that are necessary to find exchanged labels."""
 
 POSE_PARAMETERS = 9
-"""Three biases, scale factors and non-orthogonalities: all that |f| = g can determine."""
+"""Number of parameters that the condition |f| = g can determine: three biases, three scale factors and three
+non-orthogonalities."""
 
 
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
@@ -79,7 +82,7 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
 
 
 def check_observed(observed: Observed, where: str, log: Findings) -> None:
-    """Checks, from the averages of segments, whether segments can be held out and whether the nominal model fits."""
+    """Checks, from the means of the segments, whether segments can be held out and whether the nominal model fits."""
     mark = Mark(where)
     if observed.along is not None:
         _check_poses(observed, mark, log)
@@ -133,7 +136,8 @@ _LOOK = (
 
 
 def _check_steady_rates(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Warns if the rate of the table still changes at the start of a segment's record, or already changes before its end."""
+    """Warns if the rate of the table is not steady in the whole record of a segment: it still changes at the start, or already
+    changes before the end."""
     found = []
     for index, motion in enumerate(observed.motions):
         if not isinstance(motion, Spin):
@@ -184,10 +188,10 @@ def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
 def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, float]:
     """Compares the output (n,) of a gyro at the start and the end of a segment with its output in the middle. Returns two numbers:
     the fraction of the segment in which the output deviates because the rate changes, and the largest such deviation relative to
-    the rate. Both numbers are 0 if the rate is steady. For the comparison, the segment is divided into `PARTS` parts. The size of
-    changes of the output for other reasons, such as an uneven motion, is judged from the scatter between the means of the parts in
-    the middle half. If this scatter is large, the function returns the values for a segment without any steady part. `earth_rate`:
-    amplitude of the input that the Earth's rotation may cause once per turn, rad/s."""
+    the rate. Both numbers are 0 if the rate is steady. For the comparison, the segment is divided into `PARTS` parts. The output
+    also changes for other reasons, such as an uneven motion. The size of these changes is estimated from the scatter between the
+    means of the parts in the middle half. If this scatter is large, the function returns the values for a segment without any
+    steady part. `earth_rate`: amplitude of the input that the Earth's rotation may cause once per turn, rad/s."""
     if len(values) < 4 * PARTS:
         return 0.0, 0.0
     means = np.array([part.mean() for part in np.array_split(values, PARTS)])
@@ -218,9 +222,9 @@ def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
-    """Finds two segments whose exchange reduces the misfit between the nominal model and the segment means at least by the factor
-    `EXCHANGED`. Returns their indices and the ratio of the root mean square misfits before and after the exchange; None if there
-    are no such segments.
+    """Finds two segments with possibly exchanged labels. Their exchange reduces the misfit between the nominal model and the
+    segment means at least by the factor `EXCHANGED`. Returns their indices and the ratio of the root mean square misfits before and
+    after the exchange; None if there are no such segments.
 
     Let M be the projection onto the residuals of the fit, and e the difference of the unit vectors of the two segments. An exchange
     adds δ·e with δ = −eᵀy to the means y, and 2δ·eᵀMy + δ²·eᵀMe to the sum of squares of the residuals.
@@ -253,7 +257,7 @@ def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
 
 
 def _check_noise(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Warns if the sample-to-sample noise of a channel at rest differs strongly from its declaration."""
+    """Warns if the noise between consecutive samples of a channel at rest differs strongly from its declaration."""
     still = [s for s, motion in enumerate(observed.motions) if isinstance(motion, Rest)]
     if not still:
         return

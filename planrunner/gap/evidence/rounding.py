@@ -1,9 +1,8 @@
-"""Computes rounding errors in the means of many samples that are rounded to counts.
-
-Noise of half a count or more dithers the rounding, so that its errors average out. With smaller noise, an error remains, which
-depends on the position of the mean within a count. Repetition does not average out this error. The scatter of rounded samples does
-not show how small the noise is: readings that alternate between two counts scatter by half a count even if the noise is very small.
-The number of samples at each count does show the size of the noise, because only sufficiently large noise reaches a third count.
+"""Computes rounding errors in the means of many samples that are rounded to counts. Noise of half a count or more dithers the
+rounding, so that the rounding errors average out. With smaller noise, an error remains that depends on the position of the mean
+within a count. This error does not average out in repetitions. The scatter of rounded samples does not show how small the noise is:
+readings that alternate between two counts scatter by half a count even if the noise is very small. The number of samples at each
+count does show the size of the noise, because only sufficiently large noise reaches a third count.
 """
 
 from __future__ import annotations
@@ -36,34 +35,33 @@ def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
 
 
 def dithering(sigma: Array | float) -> Array:
-    """Returns the variance of the rounding error in the mean of many samples, divided by its value without noise. `sigma`: standard
-    deviation of the noise, in counts.
-
-    The error is a saw-tooth function of the mean's position within a count. Noise multiplies its harmonic k by the characteristic
-    function of the noise at 2πk (Widrow and Kollár, Quantization Noise, 2008, section 19.3). Without noise, the variance is 1/12 of
-    a squared count.
+    """Returns the variance of the rounding error in the mean of many samples, divided by the variance without noise. `sigma`:
+    standard deviation of the noise, in counts. The error is a saw-tooth function of the mean's position within a count. Noise
+    multiplies its harmonic k by the characteristic function of the noise at 2πk (Widrow and Kollár, Quantization Noise, 2008,
+    section 19.3). Without noise, the variance is 1/12 of a squared count.
     """
     return _left_over(_characteristic(sigma))
 
 
 def _left_over(characteristic: Array) -> Array:
-    """Returns the variance of the rounding error, divided by its value without noise, from the characteristic function of the noise
-    at 2πk. `characteristic`: array whose last axis is k in `HARMONICS`."""
+    """Computes the variance of the rounding error, divided by the variance without noise, from the characteristic function of the
+    noise at 2πk. `characteristic`: array whose last axis is k in `HARMONICS`."""
     return np.asarray(characteristic**2 @ (6 / (np.pi * HARMONICS) ** 2))
 
 
 def _characteristic(sigma: Array | float) -> Array:
-    """Characteristic function of Gaussian noise of `sigma` counts at 2πk, for k in `HARMONICS`."""
+    """Returns the characteristic function of Gaussian noise of `sigma` counts at 2πk, for k in `HARMONICS`."""
     return np.asarray(np.exp(-2 * (np.pi * np.multiply.outer(sigma, HARMONICS)) ** 2))
 
 
 def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> Array:
     """Returns the variance of the rounding error in the mean of many samples, SI², shape (K,). `white`: array of shape (K,) in SI
     units, standard deviation of a rounded sample. `coarse`: array of shape (K,), True if the noise of a channel is too small to
-    dither the rounding. For coarse channels, the variance is averaged over all noise levels, weighted by their agreement with the
-    declared noise and with the number of samples at each count in segments at rest. If these numbers show a mixture of smaller and
-    larger noise, the variance is that of the mixture: noise with many small values dithers less than Gaussian noise of the same
-    standard deviation. If samples were averaged over bins, these numbers are unknown and are not used."""
+    dither the rounding. For coarse channels, the variance is averaged over all noise levels. The weight of a noise level is its
+    agreement with the declared noise, and with the number of samples at each count in segments at rest. If these numbers show a
+    mixture of smaller and larger noise, the variance is that of the mixture: noise with many small values dithers less than
+    Gaussian noise of the same standard deviation. If samples were averaged over bins, these numbers are unknown and are not
+    used."""
     found = np.zeros(len(observed.channels))
     for index, channel in enumerate(observed.channels):
         count = channel.resolution
@@ -84,15 +82,15 @@ def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> A
 
 
 def _of_declared(sigma: float) -> Array:
-    """Returns the log prior (S,) of the noise levels `NOISES`, which are in counts. The prior is concentrated near the declared
-    level, or uniform if no level is declared."""
+    """Returns the log prior of the noise levels `NOISES`, which are in counts, shape (S,). The prior is concentrated near the
+    declared level; it is uniform if no level is declared."""
     return np.zeros(len(NOISES)) if sigma <= 0 else -0.5 * (np.log(NOISES / sigma) / DOUBT) ** 2
 
 
 @dataclass(frozen=True)
 class _Counted:
-    """The readings of a segment at rest. `mean`: mean reading, in counts from a reading near it. `levels`: array of shape (n,), the
-    counts that were reached, from the same reading. `times`: array of shape (n,), number of samples at each of them."""
+    """Contains the readings of a segment at rest, in counts relative to one reading near the mean. `mean`: mean reading. `levels`:
+    array of shape (n,), the readings that occur. `times`: array of shape (n,), number of samples with each of these readings."""
 
     mean: float
     levels: Array
@@ -100,7 +98,7 @@ class _Counted:
 
 
 def _counted(observed: Observed, index: int) -> list[_Counted]:
-    """Counts the readings of a channel in segments at rest. Empty if samples were averaged over bins."""
+    """Counts the readings of a channel in segments at rest. The result is empty if samples were averaged over bins."""
     found: list[_Counted] = []
     if observed.bins is not None:
         return found
@@ -115,16 +113,18 @@ def _counted(observed: Observed, index: int) -> list[_Counted]:
 
 
 def _of_counts(observed: Observed, index: int) -> Array:
-    """Log likelihood (S,) of the noise levels `NOISES`, from the numbers of samples at each count in segments at rest. For each
-    noise level, the true mean of a segment is the one that gives the mean reading of the segment."""
+    """Returns the log likelihood of the noise levels `NOISES`, shape (S,). It is computed from the numbers of samples at each count
+    in segments at rest. For each noise level, the true mean of a segment is chosen so that it gives the mean reading of the
+    segment."""
     segments = _counted(observed, index)
     return np.array([_log_likelihood(segments, float(sigma), _reading(sigma)) for sigma in NOISES])
 
 
 def _of_mixture(observed: Observed, index: int) -> float | None:
-    """Returns the variance of the rounding error for a mixture of two Gaussian noises, divided by its value without noise. It is the
-    mean over all pairs of noises, weighted by the likelihood of the numbers of samples at each count in segments at rest. None if
-    one Gaussian noise describes these numbers as well by Schwarz's criterion (a mixture has two parameters more)."""
+    """Returns the variance of the rounding error for a mixture of two Gaussian noises, divided by the variance without noise. The
+    result is the mean over all pairs of noises, weighted by the likelihood of the numbers of samples at each count in segments at
+    rest. The result is None if, by Schwarz's criterion, one Gaussian noise describes these numbers as well as a mixture, which has
+    two more parameters."""
     segments = _counted(observed, index)
     if not segments:
         return None
@@ -152,7 +152,7 @@ def _of_mixture(observed: Observed, index: int) -> float | None:
 
 
 def _log_likelihood(segments: list[_Counted], sigma: float, reading: Array) -> float:
-    """Returns the log likelihood of the counts for Gaussian noise of `sigma` counts. `reading`: array of shape (P,), mean reading
+    """Returns the log likelihood of the readings for Gaussian noise of `sigma` counts. `reading`: array of shape (P,), mean reading
     for each of the true means `PLACES`."""
     found = 0.0
     for one in segments:
@@ -162,7 +162,8 @@ def _log_likelihood(segments: list[_Counted], sigma: float, reading: Array) -> f
 
 
 def _reading(sigma: float) -> Array:
-    """Returns the mean readings (P,) for the true means `PLACES` and noise of the standard deviation `sigma`, all in counts."""
+    """Returns the mean reading for each of the true means `PLACES`, shape (P,). `sigma`: standard deviation of the noise. All
+    values are in counts."""
     most = int(np.ceil(4 + 4 * sigma))
     levels = np.arange(-most, most + 1) - PLACES[:, None]
     return np.asarray(PLACES + (_chances(levels, sigma) * levels).sum(axis=1))

@@ -1,13 +1,14 @@
 """Reduces a recording to the data that a diagnosis uses: a few exact coefficients for each segment and channel, and the energy of
 the remainder in each frequency band.
 
-The coefficients of a segment refer to an orthonormal basis: the lowest orders of the cosine transform (DCT-II; order 0 is the mean)
-and the harmonics at which the table's motion can show an effect (1 to 3 per turn, 1 to 5 per period of rocking). If an encoder
-shows the motion, the angular rates take the place of the harmonics. In this case, the part of the samples that is proportional to
-the angular accelerations is removed and not used as evidence. An unknown delay between the encoder and the sensor causes such a
-part; if it were kept, it would count as noise at the frequencies of the rates. Deterministic effects lie in the span of this basis.
-The remainder is noise or a tone; only its energies in bands of the DCT-II are stored. Outliers far outside the noise are replaced
-by the fit of the basis and counted, because a single outlier would affect all coefficients.
+The coefficients of a segment refer to an orthonormal basis. The basis consists of the lowest orders of the cosine transform
+(DCT-II; order 0 is the mean) and of harmonics of the table's motion (1 to 3 per turn, 1 to 5 per period of rocking). Effects can
+appear at these harmonics. If an encoder shows the motion, the angular rates take the place of the harmonics. In this case, the part
+of the samples that is proportional to the angular accelerations is removed and not used as evidence. The reason is that an unknown
+delay between the encoder and the sensor causes such a part. If this part were kept, it would count as noise at the frequencies of
+the rates. Deterministic effects lie in the span of this basis. The remainder is noise or a tone; only its energies in bands of the
+DCT-II are stored. Outliers far outside the noise are replaced by the fit of the basis and counted, because a single outlier would
+affect all coefficients.
 """
 
 from __future__ import annotations
@@ -29,19 +30,18 @@ OCTAVES = 12  # below half the sampling rate, down to which the remainder is div
 FINE = 5  # uppermost octaves, each of which has four bands
 UPPER = 0.999 / 8  # of the sampling rate: bands from here on define the white level, above all slow processes
 RESPONSE = -1
-"""Instead of the order of a harmonic: a coefficient of the response to a recorded motion."""
+"""Replaces the order of a harmonic for coefficients of the response to a recorded motion."""
 _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the lower orders are removed
 
 
 @dataclass(frozen=True)
 class SpectralBasis:
-    """The basis of one segment.
-
-    `vectors`: array of shape (n, m), whose columns are orthonormal; the first column is constant. `frequency`: array of shape (m,),
-    the frequency of each vector in Hz; it is 0 for the constant vector. `harmonic`: array of shape (m,), the kind of each vector: 0
-    for a vector of the cosine transform, `RESPONSE` for the response to a recorded motion, and the order of the harmonic for a
-    harmonic of the motion. `latency`: array of shape (n, q), further orthonormal columns, orthogonal to `vectors`: the response to
-    a delay between the sensor and the encoder. These columns are removed from the samples, but their coefficients are not used.
+    """Contains the basis of one segment. `vectors`: array of shape (n, m) with orthonormal columns; the first column is constant.
+    `frequency`: array of shape (m,), the frequency of each vector in Hz; it is 0 for the constant vector. `harmonic`: array of
+    shape (m,), the kind of each vector: 0 for a vector of the cosine transform, `RESPONSE` for the response to a recorded motion,
+    and the order of the harmonic for a harmonic of the motion. `latency`: array of shape (n, q), further orthonormal columns,
+    orthogonal to `vectors`: the response to a delay between the sensor and the encoder. These columns are removed from the samples,
+    but their coefficients are not used.
     """
 
     vectors: Array
@@ -61,13 +61,13 @@ class Spectrum:
 
     `segment`: array of shape (M,), index of the segment to which a coefficient belongs. `frequency`, `harmonic`: arrays of shape
     (M,), as in `SpectralBasis`. `means`: array of shape (S,), indices of the coefficients of order 0. `values`: array of shape (M,
-    K) in SI·√samples, the coefficients. `energy`: array of shape (S, B, K) in SI², energy of the DCT-II of the remainder in the
+    K), the coefficients in SI·√samples. `energy`: array of shape (S, B, K) in SI², energy of the DCT-II of the remainder in the
     bands between `edges` (B + 1,), Hz. `count`: array of shape (S, B), number of coefficients of the DCT-II in each band.
     `remainder`: array of shape (N, K), samples minus their components in the basis. `spikes`: array of shape (K,), number of
     samples that were replaced by the fit. `replaced`: array of shape (N, K), for replaced samples the difference between the sample
     and the fit; otherwise zero. `readings`: array of shape (S, K) in SI units, mean outputs of the segments. If the samples are
-    means over bins of k samples, all values except `readings` are multiplied by √k, so that their white noise is that of a single
-    sample.
+    means over bins of k samples, all values except `readings` are multiplied by √k. Their white noise is then equal to the white
+    noise of a single sample.
     """
 
     bases: tuple[SpectralBasis, ...]
@@ -101,7 +101,8 @@ class Spectrum:
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
     def outside(self, observed: Observed, columns: Array) -> Array:
-        """Removes the basis of each segment from columns of samples (N, P), as it was removed from the samples."""
+        """Removes from columns (N, P) the components in the basis of each segment. The same components were removed from the
+        samples."""
         out = columns.copy()
         for basis, part in zip(self.bases, observed.segments(), strict=True):
             out[part] -= basis.removed @ (basis.removed.T @ out[part])
@@ -109,8 +110,9 @@ class Spectrum:
 
     @cached_property
     def runs(self) -> list[tuple[Array, slice]]:
-        """Groups consecutive segments whose bases have the same shape. Each group consists of two items: the transposed bases (k,
-        m, n) of its k segments, or one transposed basis (m, n) that all of them share; and the slice of its samples."""
+        """Groups consecutive segments whose bases have the same shape. Each group consists of the bases and the slice of the
+        samples. The bases are the transposed bases (k, m, n) of the k segments, or one transposed basis (m, n) that all segments of
+        the group share."""
         found, first = [], 0
         for _, run in groupby(self.bases, key=lambda basis: basis.vectors.shape):
             bases = list(run)
@@ -178,9 +180,10 @@ def _harmonics(observed: Observed, part: slice, motion: object) -> list[tuple[in
 
 def _by_axis(motion: Array) -> list[Array]:
     """Returns the components (n,) of a recorded motion (n, 3), for each axis about which there is motion. The mean of each
-    component is subtracted. Scale factors and misalignments act in proportion to the angular rates. A delay, like the first-order
-    lag of a filter, acts nearly in proportion to the angular accelerations. Only motion that an encoder shows is used. The
-    reference of a free motion is not used, because it has its own delays and filters, which act at the same frequencies."""
+    component is subtracted. The effects of scale factors and misalignments are proportional to the angular rates. The effects of a
+    delay and of the first-order lag of a filter are nearly proportional to the angular accelerations. Only motion that an encoder
+    shows is used. The reference of a free motion is not used, because it has its own delays and filters, which act at the same
+    frequencies."""
     motion = motion - motion.mean(axis=0)
     size = np.linalg.norm(motion, axis=0)
     return [motion[:, axis] for axis in np.flatnonzero(size > _DEPENDENT * size.max())]
@@ -246,14 +249,14 @@ def _of_bands(samples: Array, orders: NDArray[np.int64]) -> Array:
 
 
 def _roots(observed: Observed) -> Array | None:
-    """Returns the weight √size of the means over the bins of each segment, shape (S,). A mean over a bin, multiplied by this
-    weight, has the white noise of a single sample. None if the recording contains single samples instead of means over bins."""
+    """Returns, for each segment, the square root of the bin size, shape (S,). A mean over a bin, multiplied by this weight, has the
+    same white noise as a single sample. The result is None if the recording contains single samples instead of means over bins."""
     return None if observed.bins is None else np.sqrt(observed.bins.size)
 
 
 def band_edges(half: float) -> Array:
-    """Returns the edges (B + 1,) of the frequency bands, Hz. The bands are octaves. The upper octaves are divided into four bands
-    each, and the lowest band contains all lower frequencies. `half`: half of the sampling rate, which is the upper edge of the
+    """Returns the edges of the frequency bands, Hz, shape (B + 1,). The bands are octaves. Each upper octave is divided into four
+    bands, and the lowest band contains all lower frequencies. `half`: half of the sampling rate, which is the upper edge of the
     highest band."""
     octaves = 2.0 ** -np.arange(OCTAVES, -1, -1)
     fine = [np.linspace(low, 2 * low, 5)[1:] for low in octaves[-FINE - 1 : -1]]
@@ -285,7 +288,7 @@ def _robust(
 
 def white_level(observed: Observed, spectrum_: Spectrum) -> tuple[Array, Array]:
     """Returns the standard deviation of the white noise of a sample, and the degrees of freedom of this estimate, each of shape
-    (K,). Both are determined from the upper bands of segments at rest.
+    (K,). The estimate uses the upper bands of segments at rest.
 
     If no segment is at rest, all segments are used. The upper bands begin at one eighth of the sampling rate, above all slow
     processes.
