@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from planrunner.base.findings import COMMAND_LINE, InputError, count_of
 from planrunner.cli import exit_codes
-from planrunner.cli.dates import day_of
+from planrunner.cli.arguments import day_of
 from planrunner.cli.printing import print_findings, print_json, print_line
 from planrunner.cli.signer import add_signer, signer_of
 

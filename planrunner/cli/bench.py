@@ -11,9 +11,7 @@ from planrunner.base import plugins
 from planrunner.base.findings import InputError, Mark
 from planrunner.bench.model import read_bench, shipped_benches
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_index, report_left_out
-from planrunner.cli.dates import day_of
-from planrunner.cli.jobs import workers_of
+from planrunner.cli.arguments import add_index, day_of, report_left_out, workers_of
 from planrunner.cli.printing import name_file, print_json, print_line
 from planrunner.cli.signer import add_signer, signer_of
 

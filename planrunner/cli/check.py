@@ -15,7 +15,7 @@ from planrunner.base.workers import ALONE, results_of
 from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import runs_on_virtual_clock, safe_order
 from planrunner.cli import exit_codes
-from planrunner.cli.jobs import add_workers, workers_of
+from planrunner.cli.arguments import add_workers, workers_of
 from planrunner.cli.operator import add_attendance
 from planrunner.cli.printing import columns, print_findings, print_json
 from planrunner.cli.progress import reading_progress

@@ -6,7 +6,7 @@ import argparse
 
 from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import folder_argument
+from planrunner.cli.arguments import folder_argument
 from planrunner.cli.each_run import add_runs, run_folders
 from planrunner.cli.printing import print_json, print_line
 

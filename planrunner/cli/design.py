@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from planrunner.cli import exit_codes
+from planrunner.cli.arguments import add_workers, workers_of
 from planrunner.cli.check import add_parameter
-from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.parameters import parameters_of

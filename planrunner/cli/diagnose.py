@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark, closest
 from planrunner.cli import exit_codes
+from planrunner.cli.arguments import add_workers
 from planrunner.cli.each_run import archive_of, run_folders
-from planrunner.cli.jobs import add_workers
 from planrunner.cli.printing import print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
 

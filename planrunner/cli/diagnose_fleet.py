@@ -10,7 +10,7 @@ from planrunner.base.documents import JsonObject
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.base.processes import processors
 from planrunner.cli import exit_codes
-from planrunner.cli.jobs import workers_of
+from planrunner.cli.arguments import workers_of
 from planrunner.cli.printing import name_file, print_findings, print_json, write_file
 from planrunner.cli.progress import reading_progress
 

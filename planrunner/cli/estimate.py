@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 from planrunner.base.findings import InputError
 from planrunner.base.workers import ALONE, Workers
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import folder_argument
+from planrunner.cli.arguments import add_workers, folder_argument, workers_of
 from planrunner.cli.each_run import Done, add_runs, each_result, each_run, runs_of
-from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.outcome import conclude
 from planrunner.cli.progress import reading_progress
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from planrunner.base.findings import count_of
-from planrunner.cli.archive_arguments import add_index, add_period, add_runs_folder, opened_index, report_left_out
+from planrunner.cli.arguments import add_index, add_period, add_runs_folder, opened_index, report_left_out
 from planrunner.cli.printing import print_json, print_line
 
 

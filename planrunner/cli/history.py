@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_index, add_runs_folder, opened_index, report_left_out
+from planrunner.cli.arguments import add_index, add_runs_folder, opened_index, report_left_out
 from planrunner.cli.printing import name_file, print_json, print_line, write_file
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from planrunner.base.findings import COMMAND_LINE, InputError, Mark
 from planrunner.cli import exit_codes
-from planrunner.cli.dates import day_of
+from planrunner.cli.arguments import day_of
 from planrunner.cli.printing import print_json, write_file, write_new
 from planrunner.cli.signer import add_passphrase, passphrase
 

@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from planrunner.cli.jobs import add_workers, workers_of
+from planrunner.cli.arguments import add_workers, workers_of
 from planrunner.cli.printing import print_findings, print_json
 from planrunner.cli.suites import add_at
 from planrunner.tasks.check_suite import check_suite

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from planrunner.base.findings import COMMAND_LINE, InputError, closest
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import folder_argument
+from planrunner.cli.arguments import folder_argument
 from planrunner.cli.each_run import Done, each_run, run_folders
 from planrunner.cli.log import ring_of
 from planrunner.cli.printing import print_findings, write_file

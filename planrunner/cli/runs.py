@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from planrunner.base.findings import count_of
-from planrunner.cli.archive_arguments import add_archive, add_index, add_period, opened_index, report_left_out
+from planrunner.cli.arguments import add_archive, add_index, add_period, opened_index, report_left_out
 from planrunner.cli.printing import print_json
 
 

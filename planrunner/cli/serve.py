@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_archive
+from planrunner.cli.arguments import add_archive
 from planrunner.cli.printing import print_json
 
 PORT = 8765

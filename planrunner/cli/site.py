@@ -5,8 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner.cli.archive_arguments import folder_argument, report_left_out
-from planrunner.cli.jobs import add_workers, workers_of
+from planrunner.cli.arguments import add_workers, folder_argument, report_left_out, workers_of
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import reading_progress
 

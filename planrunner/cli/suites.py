@@ -10,7 +10,7 @@ from pathlib import Path
 
 from planrunner.archive.schema_check import FIRST_YEAR, LAST_YEAR
 from planrunner.base.findings import InputError, count_of
-from planrunner.cli.jobs import workers_of
+from planrunner.cli.arguments import workers_of
 from planrunner.cli.printing import columns, write_file
 from planrunner.reporting.night_timetable import Timetable, timetable_lines, timetable_page
 from planrunner.tasks.check_suite import CheckedSuite, check_suite, is_suite

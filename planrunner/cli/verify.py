@@ -12,9 +12,8 @@ from pathlib import Path
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import InputError, Mark, count_of
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import folder_to_verify
+from planrunner.cli.arguments import add_workers, folder_to_verify, workers_of
 from planrunner.cli.each_run import Done, add_runs, archive_of, each_result, run_folders
-from planrunner.cli.jobs import add_workers, workers_of
 from planrunner.cli.log import add_heads, heads_of, ring_of, show_log
 from planrunner.cli.printing import print_line
 from planrunner.plan.source import read_bytes

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from planrunner.cli import exit_codes
-from planrunner.cli.archive_arguments import add_archive
+from planrunner.cli.arguments import add_archive
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import LINES_EVERY
 

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 from planrunner.base.findings import InputError
-from planrunner.cli.jobs import add_workers, workers_of
+from planrunner.cli.arguments import add_workers, workers_of
 from tests.blind import campaign
 from tests.blind.commitment import BrokenSealError
 

@@ -19,7 +19,7 @@ from tests.blind.signatures import change, excess_energy, excess_ratio
 
 HERE = Path(__file__).parent
 MEETS_THE_PRODUCT = {"product.py"}  # where a case is handed to the diagnosis
-SHARES_WORK = {"planrunner.base.workers", "planrunner.cli.jobs", "planrunner.base.findings"}
+SHARES_WORK = {"planrunner.base.workers", "planrunner.cli.arguments", "planrunner.base.findings"}
 """These hand out items to processes, with their arguments and messages. They compute nothing."""
 
 

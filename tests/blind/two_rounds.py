@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from planrunner.base.workers import ALONE, Workers, results_in_order
-from planrunner.cli.jobs import add_workers, workers_of
+from planrunner.cli.arguments import add_workers, workers_of
 from tests.blind import product
 from tests.blind.device import SENSORS, Device, Sensor, clean_output, limit, random_device
 from tests.blind.effects import CATALOGUE

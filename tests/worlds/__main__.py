@@ -18,7 +18,7 @@ from pathlib import Path
 
 from planrunner.base.findings import InputError
 from planrunner.base.workers import results_in_order
-from planrunner.cli.jobs import add_workers, workers_of
+from planrunner.cli.arguments import add_workers, workers_of
 from tests.worlds.campaigns import CAMPAIGNS
 from tests.worlds.coverage import Batch, Tally, tally_of, world_of
 from tests.worlds.faults import WORLDS
