@@ -33,9 +33,8 @@ def run(args: argparse.Namespace) -> int:
             }
         )
         return exit_codes.DONE if passed else exit_codes.LIMIT_FAILED
-    from planrunner.estimators.tables import Role, TableColumn
+    from planrunner.estimators.tables import Role, Shown, TableColumn, table_of
     from planrunner.reporting import terminal
-    from planrunner.reporting.columns import Shown, table_of
 
     columns: tuple[Shown[Comparison], ...] = (
         Shown(TableColumn("case"), lambda row: row.case),

@@ -1,11 +1,16 @@
-"""Defines the tables and plots that reports show, for estimates, design studies, diagnoses and histories."""
+"""Defines the tables and plots that reports show, for estimates, design studies, diagnoses and histories.
+
+Tables are made by columns: either with the cells of each column (`by_columns`), or with a function that makes the cell for each row
+(`Shown` and `table_of`).
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from enum import StrEnum
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -77,6 +82,33 @@ def by_columns(title: str, *columns: FilledColumn) -> Table:
     """Makes a table from columns; each column is given together with its cells."""
     cells = [values.tolist() if isinstance(values, np.ndarray) else values for _, values in columns]
     return Table(title, tuple(column for column, _ in columns), tuple(zip(*cells, strict=True)))
+
+
+Row = TypeVar("Row")
+
+
+@dataclass(frozen=True, slots=True)
+class Shown(Generic[Row]):
+    """One column of a table, and how its cells are made. `cell`: function that makes the column's cell for a row. `idle`: cells
+    that carry no information; a column that contains only such cells is omitted."""
+
+    column: TableColumn
+    cell: Callable[[Row], Cell]
+    idle: tuple[Cell, ...] = ()
+
+
+def table_of(title: str, columns: Iterable[Shown[Row]], rows: Sequence[Row]) -> Table:
+    """Makes the table of all rows, without columns that carry no information; empty if there are no rows."""
+    if not rows:
+        return Table(title, (), ())
+    filled = [(item, [item.cell(row) for row in rows]) for item in columns]
+    kept = [(item.column, cells) for item, cells in filled if not item.idle or not set(cells) <= set(item.idle)]
+    return Table(title, tuple(column for column, _ in kept), tuple(zip(*(cells for _, cells in kept), strict=True)))
+
+
+def alike(role: Role, *titles: str, unit: str = "") -> tuple[TableColumn, ...]:
+    """Makes columns that have the same role and unit."""
+    return tuple(TableColumn(title, role, unit) for title in titles)
 
 
 def known(values: Array) -> list[float | None]:

@@ -9,10 +9,9 @@ import numpy as np
 
 from planrunner.design.cycles import StudiedCycle
 from planrunner.design.study import FoundCycles, Study, Subject
-from planrunner.estimators.tables import Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Plot, Role, Shown, Table, TableColumn, alike, table_of
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.reporting import words
-from planrunner.reporting.columns import Shown, alike, table_of
 
 POINTS = 1500  # of a plotted curve
 ROUNDS = 3  # number of plotted periods of the longest cycle

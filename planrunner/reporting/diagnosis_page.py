@@ -12,8 +12,7 @@ from pathlib import Path
 
 from planrunner.base.documents import Json
 from planrunner.estimators.results import DataOrigin
-from planrunner.estimators.tables import Role, Table, TableColumn
-from planrunner.reporting.columns import Shown, alike, table_of
+from planrunner.estimators.tables import Role, Shown, Table, TableColumn, alike, table_of
 from planrunner.reporting.diagnosis_pictures import ranked
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, stamped, table_view

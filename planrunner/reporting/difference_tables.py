@@ -9,11 +9,10 @@ from collections.abc import Iterator, Sequence
 
 from planrunner.base.documents import Json, JsonObject, finite
 from planrunner.base.findings import Finding
-from planrunner.estimators.tables import Cell, Role, Table, TableColumn
+from planrunner.estimators.tables import Cell, Role, Shown, Table, TableColumn, table_of
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.reporting import words
 from planrunner.reporting.budgets import shown_unit, two_digits
-from planrunner.reporting.columns import Shown, table_of
 from planrunner.reporting.show_page import labels_in_short
 from planrunner.review.compared import Compared
 from planrunner.review.consequences import Consequences, Demand, Undetermined

@@ -11,8 +11,7 @@ from pathlib import Path
 from planrunner.base.documents import Json
 from planrunner.base.findings import count_of
 from planrunner.estimators.results import DataOrigin
-from planrunner.estimators.tables import Plot, Role, Table, TableColumn
-from planrunner.reporting.columns import Shown, alike, table_of
+from planrunner.estimators.tables import Plot, Role, Shown, Table, TableColumn, alike, table_of
 from planrunner.reporting.diagnosis_page import probability
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.templates import render

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime
 
 from planrunner.base.findings import count_of
-from planrunner.estimators.tables import Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Shown, Table, TableColumn, table_of
 from planrunner.instruments.models import DataOrigin
 from planrunner.night.history.agreement import ParticipantAgreement
 from planrunner.night.history.check_standard import ControlState, ControlTest
@@ -17,7 +17,6 @@ from planrunner.night.history.gauge import GaugeStudy, VarianceComponent
 from planrunner.night.history.rows import RunRow
 from planrunner.night.history.trend import DAY, Trend
 from planrunner.reporting import words
-from planrunner.reporting.columns import Shown, table_of
 from planrunner.reporting.verdict import stamp
 
 _NOT_MEASURED: tuple[DataOrigin, ...] = ("simulated", "replayed")

@@ -9,9 +9,8 @@ from planrunner.base.documents import finite
 from planrunner.design.efficiency import Efficiency, Merit
 from planrunner.design.study import FoundPositions, Pose, PositionSet, Study, Subject
 from planrunner.estimators.interface import Coefficient
-from planrunner.estimators.tables import Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Table, TableColumn, alike
 from planrunner.reporting import words
-from planrunner.reporting.columns import alike
 
 TITLES = {"planned": "as planned", "cardinal": "best cardinal", "free": "best free"}
 FOOTER = (

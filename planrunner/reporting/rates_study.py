@@ -8,9 +8,8 @@ import numpy as np
 
 from planrunner.design.study import FoundRates, Study, Subject
 from planrunner.estimators.interface import Coefficient
-from planrunner.estimators.tables import Plot, Role, Table, TableColumn
+from planrunner.estimators.tables import Plot, Role, Table, TableColumn, alike
 from planrunner.reporting import words
-from planrunner.reporting.columns import alike
 
 TITLES = {"planned": "as planned", "best": "best found"}
 FOOTER = (

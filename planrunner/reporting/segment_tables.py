@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from planrunner.estimators.tables import Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Shown, Table, TableColumn, table_of
 from planrunner.reporting import words
-from planrunner.reporting.columns import Shown, table_of
 from planrunner.reporting.context import SegmentSummary
 from planrunner.reporting.rounding import in_parentheses
 

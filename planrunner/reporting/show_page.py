@@ -12,11 +12,10 @@ import numpy as np
 from planrunner.base.documents import JsonObject, finite
 from planrunner.base.findings import count_of
 from planrunner.estimators.interface import Coefficient, Design
-from planrunner.estimators.tables import Role, Table, TableColumn
+from planrunner.estimators.tables import Role, Shown, Table, TableColumn, table_of
 from planrunner.plan.schedule import Rest, Schedule, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.reporting import words
-from planrunner.reporting.columns import Shown, table_of
 from planrunner.reporting.orientations import orientation_svg
 from planrunner.reporting.templates import render
 from planrunner.reporting.timeline import spans
