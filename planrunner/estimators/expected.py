@@ -1,8 +1,9 @@
-"""Makes the recording that is expected from a schedule. Its segments have the means of a nominal sensor and the declared noise.
+"""Computes what a schedule is expected to give before anything is recorded: design matrices of segments at rest, the noise of their
+means, and a recording whose segments have the means of a nominal sensor and the declared noise.
 
-From this recording, an estimator computes the nominal value of every coefficient of a run (`planrunner.estimators.method`). For
-quantities that neither the plan nor the bench states, two different sets of values are assumed. A coefficient that is equal for
-both sets does not depend on the assumptions.
+From the expected recording, an estimator computes the nominal value of every coefficient of a run
+(`planrunner.estimators.method`). For quantities that neither the plan nor the bench states, two different sets of values are
+assumed. A coefficient that is equal for both sets does not depend on the assumptions.
 """
 
 from __future__ import annotations
@@ -16,14 +17,62 @@ import numpy as np
 from planrunner.archive.recording import BATCHES, RecordedSegment, Statistics, expected_segment
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import closest
 from planrunner.error_model.observed import STANDARD_PRESSURE, planned_excess
 from planrunner.error_model.terms import ErrorModel, columns_of
 from planrunner.estimators.full_scale import input_direction
-from planrunner.estimators.interface import DesignRequest
+from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimationError
 from planrunner.instruments.models import OutputModel
-from planrunner.physics.stimulus import Poses, Stimulus
+from planrunner.physics.earth import Site
+from planrunner.physics.stimulus import Poses, Stimulus, StimulusError
 from planrunner.plan.schedule import Rest, Segment, Spin
 from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
+
+
+def planned_sampling(request: DesignRequest[object]) -> tuple[Array, Array]:
+    """Returns the planned durations [s] and sample rates [Hz] of the segments, each of shape (n,). A dwell of unknown length counts
+    as one second."""
+    seconds = np.array([segment.dwell or 1.0 for segment in request.segments])
+    rates = np.array([segment.sample_rate or request.sensor.sample_rate for segment in request.segments])
+    return seconds, rates
+
+
+def matrix_at_rest(
+    model: ErrorModel, segments: Sequence[Segment], site: Site, needed: str, otherwise: str = ""
+) -> Array:
+    """Returns the design matrix, SI, shape (n, p). All segments must be at rest.
+
+    Raises `EstimationError` for a segment that moves, and for an unknown orientation. `needed`: the reason why segments must be at
+    rest, as part of the first message. `otherwise`: a text that is appended to the message about an unknown orientation.
+    """
+    moving = [segment.label for segment in segments if not isinstance(segment.motion, Rest)]
+    if moving:
+        raise EstimationError(f"segment '{moving[0]}' moves: {needed}; leave it out of `segments`")
+    try:
+        return columns_of(model, Poses.of(segments), site)
+    except StimulusError as error:
+        raise EstimationError(f"{error}{otherwise}") from None
+
+
+def planned_blocks(
+    request: DesignRequest[object], outputs: Sequence[str], terms: tuple[str, ...], matrix: Array, magnitudes: Array
+) -> tuple[DesignBlock, ...]:
+    """Returns one block for each output. A block contains the design matrix of segments at rest, SI, shape (n, p), and the noise
+    that the sensor declares for the planned dwells.
+
+    Raises `EstimationError` for an output that the sensor does not have.
+    """
+    labels = tuple(segment.label for segment in request.segments)
+    seconds, rates = planned_sampling(request)
+    blocks = []
+    for name in outputs:
+        output = request.sensor.output(name)
+        if output is None:
+            hint = closest(name, [item.name for item in request.sensor.outputs])
+            raise EstimationError(f"the bench's sensor has no output '{name}': {hint}")
+        blocks.append(DesignBlock(name, terms, matrix, magnitudes, output.noise.standard_error(seconds, rates), labels))
+    return tuple(blocks)
+
 
 Responses = Mapping[str, tuple[ErrorModel, Array]]
 """For each output: an error model, and the coefficients (p,) that the sensor declares. Coefficients are in the unit of the output
@@ -80,8 +129,7 @@ def expected_recording(
     poses, assumed = _poses(request, assumption)
     felt = poses.felt(request.site)
     means, errors, variances = (np.zeros((len(request.segments), len(outputs))) for _ in range(3))
-    seconds = np.array([segment.dwell or 1.0 for segment in request.segments])
-    rates = np.array([segment.sample_rate or request.sensor.sample_rate for segment in request.segments])
+    seconds, rates = planned_sampling(request)
     counts = np.maximum(1, np.round(seconds * rates)).astype(int)
     for k, output in enumerate(outputs):
         if (declared := known.responses.get(output.name)) is not None:
@@ -91,9 +139,8 @@ def expected_recording(
             means[:, k], nominal = _means(request, output, known, felt, assumption)
         noise = output.noise
         variances[:, k] = noise.white**2 * rates
-        rounding = noise.resolution**2 / 12 / counts * noise.dithers(variances[:, k])
-        if noise.counted:
-            rounding = noise.resolution**2 / 6 / counts**2
+        # Rounding that does not average out shifts the means, but scatters nothing.
+        rounding = noise.rounding(counts, variances[:, k]) * noise.dithers(variances[:, k])
         errors[:, k] = np.sqrt(noise.white**2 / np.maximum(seconds, 1 / rates) + rounding)
         silent = not noise.white and not noise.resolution
         if silent:

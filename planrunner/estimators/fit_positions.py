@@ -10,9 +10,9 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.error_model.terms import ErrorModel
+from planrunner.estimators.expected import planned_blocks
 from planrunner.estimators.interface import DesignBlock, DesignRequest, EstimateRequest
 from planrunner.estimators.outputs_fit import OutputsFit, coefficients_by_noise, fit_outputs
-from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.drift import drift_of

@@ -20,6 +20,7 @@ from planrunner.estimators import least_squares
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.estimators.drift_order import planned_drift
+from planrunner.estimators.expected import planned_blocks
 from planrunner.estimators.fit_tables import drift_tables, mean_and_residual, residual_plot
 from planrunner.estimators.full_scale import beyond_full_scale, not_turned, shares_by_name
 from planrunner.estimators.interface import (
@@ -32,7 +33,6 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
-from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import common_rate, rate_errors
 from planrunner.estimators.tables import Role, Table, TableColumn, by_columns

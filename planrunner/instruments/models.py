@@ -129,16 +129,19 @@ class NoiseModel:
         `variance`: variance of the samples due to noise, unit²."""
         return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 
-    def standard_error(self, seconds: float, rate_hz: float) -> float:
-        """Returns the standard uncertainty of the mean of the samples that are taken at `rate_hz` during `seconds`."""
-        samples = max(1.0, seconds * rate_hz)
-        white = self.white**2 / max(seconds, 1.0 / rate_hz)
-        per_sample = self.white**2 * rate_hz
-        dithered = per_sample > (self.resolution / 2) ** 2
-        rounding = self.resolution**2 / 12 / (samples if dithered else 1.0)
+    def rounding(self, samples: float | Array, variance: float | Array) -> Array:
+        """Returns the variance [unit²] of the mean of some samples due to their rounding to counts. `variance`: variance of the
+        samples due to noise, unit². Where rounding does not average out, the mean has the whole error of one sample."""
         if self.counted:
-            rounding = self.resolution**2 / 6 / samples**2
-        return math.sqrt(white + rounding + self.bias_instability**2)
+            return np.asarray(self.resolution**2 / 6 / np.square(samples))
+        return np.asarray(self.resolution**2 / 12 / np.where(self.dithers(variance), samples, 1.0))
+
+    def standard_error(self, seconds: float | Array, rate_hz: float | Array) -> Array:
+        """Returns the standard uncertainty of the mean of the samples that are taken at `rate_hz` during `seconds`."""
+        rate = np.asarray(rate_hz)
+        white = self.white**2 / np.maximum(seconds, 1.0 / rate)
+        rounding = self.rounding(np.maximum(1.0, seconds * rate), self.white**2 * rate)
+        return np.sqrt(white + rounding + self.bias_instability**2)
 
     def chance_of_no_change(self, seconds: float, rate_hz: float) -> float:
         """Returns an upper bound of the probability that all samples of a constant input are equal. The samples are taken at

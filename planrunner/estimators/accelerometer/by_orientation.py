@@ -20,12 +20,12 @@ from planrunner.estimators.accelerometer.parameters import TERMS, AccelerometerM
 from planrunner.estimators.basis_judgement import judge, require_basis
 from planrunner.estimators.declared_axes import AxisResponse, contradictions
 from planrunner.estimators.derived import Reported, derived
+from planrunner.estimators.expected import matrix_at_rest
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.fit_tables import drift_tables, mean_and_residual, residual_plot
 from planrunner.estimators.interface import EstimateRequest, EstimationError, UnfitDataError
 from planrunner.estimators.method import Quantities, Words
 from planrunner.estimators.outputs_fit import OutputsFit
-from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.tables import Table, TableColumn, by_columns
 from planrunner.estimators.triad import RowFormula, scale_and_misalignments

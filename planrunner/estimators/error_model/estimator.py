@@ -42,7 +42,7 @@ from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.error_model.sampled_outputs import SampledOutputs
 from planrunner.estimators.error_model.shapes import shaped_part, with_shapes
 from planrunner.estimators.error_model.within import Contrasts
-from planrunner.estimators.expected import ASSUMPTIONS, Known, expected_recording
+from planrunner.estimators.expected import ASSUMPTIONS, Known, expected_recording, planned_blocks
 from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_plot, residual_table
 from planrunner.estimators.full_scale import beyond_full_scale, shares_along
 from planrunner.estimators.interface import (
@@ -57,7 +57,6 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words, by_expectation
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
-from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.estimators.tables import Role, Table, TableColumn, by_columns

@@ -19,13 +19,12 @@ from planrunner.estimators.basis_judgement import judge, planned_basis, require_
 from planrunner.estimators.declared_axes import against_nominal
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
-from planrunner.estimators.expected import Known
+from planrunner.estimators.expected import Known, matrix_at_rest
 from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, site_influences
 from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_plot, residual_table
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit
-from planrunner.estimators.planned import matrix_at_rest
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.drift import drift, thermometer

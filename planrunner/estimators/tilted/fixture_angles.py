@@ -22,6 +22,7 @@ from planrunner.base.said import Said, said
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
+from planrunner.estimators.expected import planned_blocks
 from planrunner.estimators.fit_tables import drift_tables, residual_plot
 from planrunner.estimators.interface import (
     Coefficient,
@@ -34,7 +35,6 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.method import Method, Quantities, Words
 from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
-from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.tables import Role, Table, TableColumn, by_columns
 from planrunner.estimators.tilted.fixture_gains import (
     FITTED,

@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from planrunner.estimators.expected import planned_blocks
 from planrunner.estimators.full_scale import beyond_full_scale
 from planrunner.estimators.interface import Design, DesignBlock, DesignRequest, EstimationError, Remark
-from planrunner.estimators.planned import planned_blocks
 from planrunner.estimators.tilted.fixture_calibration import require_calibration
 from planrunner.estimators.tilted.mounted_axes import MountedAxes, mounted_axes, rotation_axis, seeing
 from planrunner.estimators.tilted.mounting_comparison import scheduled_seconds, time_note
