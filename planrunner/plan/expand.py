@@ -10,8 +10,7 @@ from typing import Any
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, Mark, closest
 from planrunner.plan.model import Plan
-from planrunner.plan.segments import STATE_KEYS, STATE_TRAITS, SegmentSpec, State
-from planrunner.plan.sweep import SweepValue
+from planrunner.plan.segments import STATE_KEYS, STATE_TRAITS, SegmentSpec, State, SweepValue
 
 # More than any overnight plan needs; without a limit a file of a few lines could ask for any number.
 MAX_SEGMENTS = 10_000

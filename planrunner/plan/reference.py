@@ -34,8 +34,17 @@ from planrunner.plan.kinds import (
 )
 from planrunner.plan.orientation import OrientationKind
 from planrunner.plan.quantity import RICH_KEYS
-from planrunner.plan.segments import MotionSpec, Ramp, RockSpec, StabilitySpec, State, Turns, WatchSpec
-from planrunner.plan.sweep import ForEachKind
+from planrunner.plan.segments import (
+    SWEPT_KEYS,
+    ForEachKind,
+    MotionSpec,
+    Ramp,
+    RockSpec,
+    StabilitySpec,
+    State,
+    Turns,
+    WatchSpec,
+)
 
 _HEAD = """\
 # Every key of a plan
@@ -149,7 +158,7 @@ def type_words(kind: Kind) -> str:
                 type_words(part) for part in (kind.scalar, kind.mapping, kind.sequence) if part is not None
             )
         case ForEachKind():
-            return f"a mapping with any of these keys, each with its values: {', '.join(kind.keys)}"
+            return f"a mapping with any of these keys, each with its values: {', '.join(SWEPT_KEYS)}"
         case RecordOf() | Plugged():
             return _RECORDS.get(kind.record, "a mapping of keys")
     for own, words in _OWN.items():

@@ -7,8 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from planrunner.plan.segments import STATE_KEYS, STATE_TRAITS, State
-from planrunner.plan.sweep import StateTraits, traits_of
+from planrunner.plan.segments import STATE_KEYS, STATE_TRAITS, StateTraits
 
 ROOT = Path(__file__).resolve().parents[2]
 DECLARED = """    pressure: Quantity | None = key(
@@ -83,7 +82,7 @@ def test_everything_knows_a_new_key_of_a_segment() -> None:
 
 
 def test_keys_that_replace_each_other_say_so_of_each_other() -> None:
-    assert traits_of(State) == STATE_TRAITS and tuple(STATE_TRAITS) == STATE_KEYS
+    assert tuple(STATE_TRAITS) == STATE_KEYS
     for name, traits in STATE_TRAITS.items():
         assert isinstance(traits, StateTraits)
         if traits.replaces is not None:
