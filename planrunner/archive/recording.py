@@ -132,7 +132,7 @@ class Find:
 class RecordedSegment:
     """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block.
 
-    `expected`: True if the segment was not recorded. Its statistics are then predicted from the schedule: the scatter is that of
+    `expected`: True if the segment was not recorded. Its statistics are then predicted from the schedule: the scatter follows from
     the declared noise, and the means contain no noise. `finds`: findings of the screening; None if the segment has not been
     screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were recorded, so
     that there are no samples to read.

@@ -7,7 +7,7 @@ computed from the scatter of consecutive batch means (Law, "Simulation Modeling 
 includes noise that is correlated over less than a batch.
 
 If the table turns or rocks during a segment, the sensor measures the Earth's rate, gravity and its own motion, which cause a
-periodic signal in the samples. In this module, this signal is called the course of the motion. The scatter is that of the
+periodic signal in the samples. In this module, this signal is called the course of the motion. The scatter is computed from the
 differences from the course. The course is fitted to averages over a few consecutive samples; a batch contains many such averages.
 The fitted course is then subtracted from the batch means, and its contribution is subtracted from the covariance.
 

@@ -129,7 +129,7 @@ class Findings:
             self._cause = before
 
     def error_in(self, *parts: Mark) -> Finding | None:
-        """Returns the first error in one of these parts, or the error from which that error follows; None if there is none."""
+        """Returns the first error in one of these parts, or the error that caused it; None if there is no error."""
         found = next((error for error in self._errors if any(part.covers(error.mark) for part in parts)), None)
         return found if found is None or found.cause is None else found.cause
 

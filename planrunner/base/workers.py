@@ -1,8 +1,8 @@
 """Determines where independent items of work are computed: in this process, in several processes of this machine, or on a Dask
 cluster.
 
-The results do not depend on where they are computed: `work` is a pure function of one item, random numbers are determined by the
-item and not by the worker, and results are in the order of the items. `processes` and `cluster` are the two backends.
+The results do not depend on the computer, for three reasons: `work` is a pure function of one item, the random numbers depend on
+the item and not on the worker, and the results have the order of the items. `processes` and `cluster` are the two backends.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 the sensor's grade.
 
 A diagnosis compares its results with these limits. This comparison is necessary because the simulation fits biases and scale
-factors, so that even a very large bias or scale-factor error leaves no gap between simulation and measurement. If the bench file
+factors. Therefore, even a very large bias or scale-factor error causes no gap between simulation and measurement. If the bench file
 declares no limits, the usual limits of the sensor's grade apply.
 
 Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed.,

@@ -1,5 +1,5 @@
 """Checks temperatures. Reports temperatures outside the range of the chamber, ramps that end before the target, and soaks that are
-too short for a sensor whose temperature lags behind that of the air."""
+too short for a sensor whose temperature follows the air temperature slowly."""
 
 from __future__ import annotations
 

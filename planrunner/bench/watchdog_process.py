@@ -121,8 +121,8 @@ def _hear(charge: Charge, told: JsonObject) -> None:
 
 
 def _ended(parent: int) -> str:
-    """Ends planrunner, and returns the outcome in words. The process number is certainly that of planrunner, because the pipe from
-    it is still open."""
+    """Ends planrunner, and returns the outcome in words. The process number certainly belongs to planrunner, because the pipe from
+    planrunner is still open."""
     number = getattr(signal, "SIGKILL", signal.SIGTERM)  # on Windows both signals end a process
     try:
         os.kill(parent, number)

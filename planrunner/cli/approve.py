@@ -177,7 +177,7 @@ def _show_last(prepared: PreparedApproval) -> None:
 
 
 def _ask() -> None:
-    """Asks the reviewer for consent. Raises `InputError` unless the reviewer agrees at the terminal."""
+    """Asks the reviewer for consent. Raises `InputError` if the reviewer does not agree at the terminal."""
     if sys.stdin is None or not sys.stdin.isatty():
         message = "there is no terminal to confirm the approval at"
         raise InputError.at(COMMAND_LINE, "approval-unconfirmed", message, "read what is printed above, then add --yes")

@@ -57,7 +57,7 @@ def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:
 
 
 def conclude(analysis: Analysis, *, as_json: bool) -> Done:
-    """Prints the results, unless JSON output is requested. The last line is the path of the first report or, if there are no
+    """Prints the results, except if JSON output is requested. The last line is the path of the first report or, if there are no
     reports, of the analysis. Returns the exit code that follows from the results, and the results as JSON."""
     if not as_json:
         print_results(analysis.results, analysis.headline)
@@ -72,7 +72,7 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
 
 def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | None = None) -> int:
     """Ends a command that made one run: prints its results and returns the exit code. A missing signature of the bench counts as a
-    fault, unless the results already cause another exit code. If the run measured the check standard of the bench, the function
+    fault, except if the results already cause another exit code. If the run measured the check standard of the bench, the function
     also reports whether the standard is in control. `run`: the run folder; None if the results do not come from a run on a
     bench."""
     done = conclude(analysis, as_json=as_json)

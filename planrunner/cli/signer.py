@@ -63,7 +63,7 @@ def add_signer(parser: argparse.ArgumentParser) -> None:
 
 
 def signer_of(args: argparse.Namespace) -> Signer:
-    """Returns the signer that the options name. Raises `InputError` unless exactly one key is given."""
+    """Returns the signer that the options name. Raises `InputError` if no key or more than one key is given."""
     from planrunner.signing.keys import is_encrypted, read_private, read_public
 
     if (args.by is None) == (args.agent is None):

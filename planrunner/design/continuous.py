@@ -133,8 +133,8 @@ def judged(
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
     """Makes one step of the fractions, and returns the new fractions. The step is towards the candidate with the largest variance
-    d, or away from the candidate with the smallest d. The latter is chosen among the candidates with a fraction above zero. Of
-    these two candidates, the one whose d differs more from p is chosen. The length of the step maximises |M|."""
+    d, or away from the candidate with the smallest d. The latter is chosen among the candidates with a fraction above zero. The
+    candidate with the larger difference between d and p is chosen. The length of the step maximises |M|."""
     up = int(np.argmax(gain))
     held = np.flatnonzero(shares > 0.0)
     down = int(held[np.argmin(gain[held])])

@@ -185,9 +185,9 @@ def free_order(
     """Searches for cycles through `positions` [rad, from the first position of the planned cycle]. Every position is held equally
     often, and no turn is longer than `most` rad.
 
-    The search first tries every order with as many moves as there are positions, then every order with twice as many moves, and so
-    on. It ends when a cycle has zero residual and a mean angle of zero. If there are too many orders, the search tries only turns
-    to neighbouring positions. Raises `CycleError` if the positions are not balanced.
+    Let n be the number of positions. The search first tries every order with n moves, then every order with 2·n moves, and so on.
+    It ends when a cycle has zero residual and a mean angle of zero. If there are too many orders, the search tries only turns to
+    neighbouring positions. Raises `CycleError` if the positions are not balanced.
     """
     angles = sorted({round(angle % TURN, 9) % round(TURN, 9): angle % TURN for angle in positions}.values())
     if len(angles) < 2:

@@ -83,8 +83,8 @@ def search(
     """Searches for the best `count` settings. Exchange among the candidates of the region gives several sets of settings, and local
     optimisation improves each set.
 
-    `starts`: additional settings (count, k) to improve, such as those of a plan. `fixed`: array of shape (p, p), information that
-    does not depend on the choice. `workers`: number of processes that share the sets to improve. The same seed gives the same
+    `starts`: additional settings (count, k) to improve, such as the settings of a plan. `fixed`: array of shape (p, p), information
+    that does not depend on the choice. `workers`: number of processes that share the sets to improve. The same seed gives the same
     settings for any number of workers.
     """
     sets = exchange.exchange(over.rows, count, weighting, restarts=restarts, seed=seed, repeats=True, fixed=fixed)

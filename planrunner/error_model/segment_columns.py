@@ -78,8 +78,8 @@ class SegmentStates:
         return SegmentStates(**{one.name: getattr(self, one.name)[place] for one in fields(self)})
 
     def measured(self, celsius: Array) -> SegmentStates:
-        """Returns a copy in which measured mean temperatures [degC], shape (n,), replace the planned ones. The ramps remain as
-        planned."""
+        """Returns a copy in which measured mean temperatures [degC], shape (n,), replace the planned temperatures. The ramps remain
+        as planned."""
         return replace(
             self, celsius=celsius, last_change=_last_changes(celsius - self.ramp / 2, celsius + self.ramp / 2)
         )

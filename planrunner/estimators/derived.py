@@ -62,8 +62,8 @@ class Derived:
 
     def spread(self, basis: str) -> tuple[Array, Array]:
         """Returns two arrays of shape (q,): the standard uncertainties of the quantities due to the data, and their effective
-        degrees of freedom. The degrees of freedom of the quantities are computed from those of the fits by the Welch–Satterthwaite
-        formula."""
+        degrees of freedom. The degrees of freedom of the quantities follow from the degrees of freedom of the fits by the
+        Welch–Satterthwaite formula."""
         variance, squares = np.zeros(len(self.values)), np.zeros(len(self.values))
         least = np.full(len(self.values), math.inf)
         for fit, own in zip(self.fits, self._by_fit(), strict=True):

@@ -1,5 +1,5 @@
-"""Decides which drift functions the data show, and which ones are fitted together with the terms. A drift function is a power of
-the time or a recorded temperature; the drift of an output may be proportional to it.
+"""Decides which drift functions the data show, and which drift functions are fitted together with the terms. A drift function is a
+power of the time or a recorded temperature; the drift of an output may be proportional to it.
 
 A drift function is adopted if its amplitude in one output, or its amplitudes in all outputs together, are larger than chance
 explains. `SIGNIFICANCE` is the level of this test for all tried drift functions together. The size that amplitudes can have by

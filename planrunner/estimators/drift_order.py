@@ -1,10 +1,10 @@
 """Checks whether the order of the planned segments makes a drift change the coefficients. Computes how much the uncertainties grow
 if the drift is fitted, and proposes an order that avoids this.
 
-Let A be the weighted design matrix of the terms, and T the weighted columns of the drift. If the drift is fitted, the covariance of
-the coefficients grows from C = (AᵀA)⁻¹ to C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 − A·G (Golub and Van Loan, Matrix
-Computations, 5.3). If all segments are recorded a second time in the opposite order, a linear drift does not affect the
-coefficients, because all positions then have the same average time.
+Let A be the weighted design matrix of the terms, and T the weighted columns of the drift. Without the drift, the covariance of the
+coefficients is C = (AᵀA)⁻¹. If the drift is fitted, the covariance increases to C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 −
+A·G (Golub and Van Loan, Matrix Computations, 5.3). If all segments are recorded a second time in the opposite order, a linear drift
+does not affect the coefficients, because all positions then have the same average time.
 """
 
 from __future__ import annotations

@@ -56,8 +56,8 @@ def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], sh
 
 
 def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
-    """Returns a warning if the planned rates act on none of the outputs, for example because the table turns about an axis other
-    than the fitted one.
+    """Returns a warning if the planned rates do not act on any output, for example because the table turns about another axis than
+    the fitted axis.
 
     `shares`: array of shape (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's
     axis. Segments in unknown orientations and outputs of specific force are not checked.

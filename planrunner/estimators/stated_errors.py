@@ -192,7 +192,8 @@ def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
 
 
 def rate_part(rate: float) -> str:
-    """Returns the name of the error of one commanded rate [rad/s]. This error has the same name wherever it acts."""
+    """Returns the name of the error of one commanded rate [rad/s]. This error has the same name in all segments and estimates in
+    which it acts."""
     return f"{np.degrees(rate):.9g} deg/s"
 
 

@@ -233,7 +233,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class SummaryChannels:
-    """States the meaning of the channels of a summary. A summary is one sample that stands for a whole segment. It contains the
+    """States the meaning of the channels of a summary. A summary is one sample that represents a whole segment. It contains the
     means of the channels and, in further channels, their scatter. The attributes name these further channels.
 
     `deviations`: for each channel, the further channel with the standard deviation of the averaged samples; these samples are

@@ -1,5 +1,5 @@
-"""Defines kinds of keys that instruments need in addition to those of the plan language: quantities with the compound units of a
-sensor, and polynomials of the temperature."""
+"""Defines two kinds of keys that only instruments need: quantities with the compound units of a sensor, and polynomials of the
+temperature."""
 
 from __future__ import annotations
 

@@ -70,7 +70,8 @@ class RecordingFile(Protocol):
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """Yields the samples in a span, in batches of at most `BATCH` rows: times (n,), in s, and the values (n,) of each channel.
-        A missing number is NaN. Raises `InstrumentError` at the first row whose time is not later than that of the row before."""
+        A missing number is NaN. Raises `InstrumentError` at the first row whose time is not later than the time of the previous
+        row."""
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -193,7 +193,7 @@ class Look:
 
     @property
     def reversed_axes(self) -> bool:
-        """Returns True if the axes of the gyros seem to differ from those of the accelerometers."""
+        """Returns True if the axes of the gyros seem to differ from the axes of the accelerometers."""
         return self.motion is not None and not self.motion.same_axes
 
     @property

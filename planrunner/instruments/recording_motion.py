@@ -98,8 +98,8 @@ def _turns(gyro: Array, accel: Array, begin: Array, end: Array, still: Sequence[
 
 
 def _signed_axes() -> Iterator[tuple[tuple[str, str, str], Array]]:
-    """Yields all 48 ways to exchange and reverse three axes, each with the matrix that converts vectors from the axes of the gyros
-    to those of the accelerometers."""
+    """Yields all 48 ways to exchange and reverse three axes, each with the matrix that converts vectors from gyro axes to
+    accelerometer axes."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             matrix = np.zeros((3, 3))

@@ -52,9 +52,9 @@ def read_segment_table(
 ) -> SegmentTable:
     """Reads the table of segments at `path`.
 
-    `columns`: names of three columns: that of the labels, that of the start times, and that of the end times. `unit`: unit of the
-    start and end times, one of `TIME_UNITS`. `trim`: time [s] omitted at both ends of each segment. `origin`: time of the first row
-    of the recording, s. `dates`: order of day and month in the recording, which also applies to the table.
+    `columns`: names of three columns: labels, start times, and end times. `unit`: unit of the start and end times, one of
+    `TIME_UNITS`. `trim`: time [s] omitted at both ends of each segment. `origin`: time of the first row of the recording, s.
+    `dates`: order of day and month in the recording, which also applies to the table.
 
     If the unit is `time_of_day`, times after midnight are recognised: each start is within half a day of the preceding end, and the
     first start is within half a day of the first row of the recording.

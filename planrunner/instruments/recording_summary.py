@@ -33,7 +33,7 @@ class SummaryRow:
 
     `line`: line in the file. `start`: start time, s. `count`: number of samples. `means`, `deviations`: mean and standard deviation
     of each channel, in the unit of the channel. If the table states a standard error instead, it is converted to a standard
-    deviation: that of `count` independent samples whose mean has the stated standard error.
+    deviation. `count` independent samples with this standard deviation have a mean with the stated standard error.
     """
 
     line: int
@@ -147,8 +147,8 @@ def read_rows(path: Path, parameters: RecordingParameters, columns: RowColumns) 
 
 
 def _columns(parameters: RecordingParameters, columns: RowColumns) -> list[str]:
-    """Returns the columns that the table must have; the first is the column of the labels. Raises `InstrumentError` unless each
-    channel has exactly one column for its scatter."""
+    """Returns the columns that the table must have; the first is the column of the labels. Raises `InstrumentError` if a channel
+    does not have exactly one column for its scatter."""
     wanted = [columns.label, columns.count, *([] if columns.start is None else [columns.start])]
     for name, channel in parameters.channels.items():
         stated = [key for key in (channel.standard_deviation, channel.standard_error) if key is not None]

@@ -42,7 +42,7 @@ class Averaged:
 
     `begin`: time of the first sample, s. `step`: time between samples, s. `time`: array of shape (n,), times of the bins, s.
     `table`: the means (n,) of each channel, in the channel's unit. `rejected`: number of rows that were left out because of a NaN.
-    The other attributes are those of `Bins`, in SI units.
+    The other attributes are the same as in `Bins`, in SI units.
     """
 
     begin: float = np.nan

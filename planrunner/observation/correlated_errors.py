@@ -38,8 +38,8 @@ class CorrelatedError:
     channel: str = ""
 
     def covariance(self, one: int, other: int) -> Array | float:
-        """Returns the contribution of the error to the covariance between the observations of two outputs, shape (n, n); 0.0 unless
-        the error acts on both outputs."""
+        """Returns the contribution of the error to the covariance between the observations of two outputs, shape (n, n). The result
+        is 0.0 if the error does not act on both outputs."""
         if one not in self.changes or other not in self.changes:
             return 0.0
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))
@@ -53,7 +53,7 @@ class CorrelatedError:
 
 def functionals_of(gains: Array) -> Array:
     """Converts the gains (m, p, n) of m outputs with p coefficients each to linear functions (m·p, m, n) of the observations of all
-    outputs. The functions of one output follow those of the other."""
+    outputs. The functions are grouped by output."""
     m, p, n = gains.shape
     stacked: Array = np.einsum("apn,ab->apbn", gains, np.eye(m)).reshape(m * p, m, n)
     return stacked

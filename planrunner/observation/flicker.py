@@ -106,9 +106,9 @@ def weighted_covariance(weights: Array, step: float, span: float) -> Array:
     taken over n consecutive intervals of the length `step` [s]. The noise has B = 1, and its average over `span` [s] around the
     intervals has been subtracted. `weights`: array of shape (…, q, n), the weights of the n means in each sum.
 
-    The result agrees with that of `mean_covariance`. As all intervals have the same length, the covariance of two means depends
-    only on the distance between their intervals. The product of the covariance matrix with the weights is therefore a convolution
-    (a Toeplitz matrix embedded in a circulant one), so that n may be thousands.
+    The result agrees with `mean_covariance`. As all intervals have the same length, the covariance of two means depends only on the
+    distance between their intervals. The product of the covariance matrix with the weights is therefore a convolution (a Toeplitz
+    matrix embedded in a circulant one), so that n may be thousands.
     """
     n = weights.shape[-1]
     low: Array = step * np.arange(n, dtype=np.float64)
@@ -135,10 +135,10 @@ def _mean_logarithm(low: Array, high: Array) -> Array:
 def _between(low: Array, high: Array, other_low: Array, other_high: Array) -> Array:
     """Returns the average of ln|t − t′| over t in one of n intervals and t′ in one of m other intervals, shape (n, m).
 
-    The second antiderivative of ln|x| is F(x) = x²·ln|x|/2 − 3x²/4. The average is a sum of four values of F, each at the
-    difference between an end of one interval and an end of the other. If the lengths a and b of the intervals are small compared
-    with their distance d, the four values nearly cancel. The average is then computed as ln d − (a² + b²)/(24·d²), with an error of
-    fourth order in a/d and b/d.
+    The second antiderivative of ln|x| is F(x) = x²·ln|x|/2 − 3x²/4. The average is a sum of four values of F. The argument of each
+    value is the difference between an end of the first interval and an end of the second. If the lengths a and b of the intervals
+    are small compared with their distance d, the four values nearly cancel. The average is then computed as ln d − (a² +
+    b²)/(24·d²), with an error of fourth order in a/d and b/d.
     """
     if len(low) > _ROWS:
         parts = [slice(first, first + _ROWS) for first in range(0, len(low), _ROWS)]

@@ -6,10 +6,10 @@ unknown orientation. One observation per sample remains: the component along u =
 
     u·a = g + u·b + g·uᵀ(M − 1)u + noise.
 
-Errors that rotate f (a tilt, an azimuth, a rotation of the whole triad) can therefore not be observed. Of the six misalignments,
-only three sums of two can be observed, for example that of x toward y and of y toward x. These sums are the non-orthogonalities.
-The direction u is found from the mean of the pose and the fitted nominal model by Gauss-Newton steps. If an effect of relative size
-δ is not in the nominal model, it rotates u by at most δ, which changes u·a only by g·δ²/2.
+Errors that rotate f (a tilt, an azimuth, a rotation of the whole triad) can therefore not be observed. Only three sums of two
+misalignments can be observed, for example the sum of x toward y and y toward x. These sums are the non-orthogonalities. The
+direction u is found from the mean of the pose and the fitted nominal model by Gauss-Newton steps. If an effect of relative size δ
+is not in the nominal model, it rotates u by at most δ, which changes u·a only by g·δ²/2.
 """
 
 from __future__ import annotations

@@ -146,8 +146,8 @@ def _angle(name: str) -> float | None:
 
 
 def threshold(samples: int) -> float:
-    """Returns the factor g for windows with this number of samples: a sample is an outlier if its distance exceeds g scale
-    estimates. g is larger for few samples, because the scale estimate is then less certain."""
+    """Returns the factor g for windows with this number of samples. A sample is an outlier if its distance exceeds g scale
+    estimates. For few samples, g is larger, because the scale estimate is less certain."""
     from scipy.special import stdtrit
 
     return -float(stdtrit(max(0.3 * samples, 3.0), CHANCE / 2))
@@ -669,8 +669,8 @@ class Screening:
         return Find(kind, self.channels[k], run.row, run.length, run.time, seconds, run.value, math.nan, before, after)
 
     def _flat_tops(self, k: int, known: Sequence[Find]) -> list[Find]:
-        """Finds noise that is cut off at the largest or smallest value: far more samples have exactly this value than a value close
-        to it. `known`: other findings, which may explain samples at the extreme values."""
+        """Finds noise that is cut off at the largest or smallest value. The sign of a cut-off is that far more samples have exactly
+        this value than a value close to it. `known`: other findings, which may explain samples at the extreme values."""
         runs = self.runs[k]
         if not runs.bends or runs.bend / runs.bends / PER_SIGMA <= 1.1 * runs.count:
             return []
@@ -786,8 +786,9 @@ def _stands_out(window: _Window) -> bool:
 
 def _changes_before(x: Array, size: int, places: RowNumbers, noise: float) -> Array:
     """Returns, for each of the samples x[places], the largest change from sample to sample among the `size` samples before it. The
-    result is infinity unless these samples and the next two lie within the distance `noise` of one level; it is also infinity near
-    the ends. The condition excludes the ripple of a filter beside a turn, which does not keep a level. `x`: array of shape (n,)."""
+    result is finite only if these samples and the next two are within the distance `noise` of one level. Otherwise, and near the
+    ends, it is infinity. The condition excludes the ripple of a filter beside a turn, which does not keep a level. `x`: array of
+    shape (n,)."""
     found = np.full(len(places), np.inf)
     inner = np.flatnonzero((places >= size) & (places < len(x) - 2))
     others = x[places[inner, None] + np.append(np.arange(-size, 0), (1, 2))]
@@ -843,8 +844,7 @@ FILLED = 64
 def without_bad(recorded: RecordedSegment) -> RecordedSegment:
     """Returns the segment without its bad samples, or the same segment if it has none.
 
-    Times, counts and gaps remain those of the recording. The samples are read once more for each group of channels that have the
-    same bad rows.
+    Times, counts and gaps do not change. The samples are read once more for each group of channels that have the same bad rows.
     """
     bad = [one for one in recorded.finds or () if one.bad]
     if not bad:

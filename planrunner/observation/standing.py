@@ -91,7 +91,7 @@ def _samples(item: RecordedSegment, name: str) -> Array:
 
 
 def _moves(values: Array, samples: int, chance: float) -> bool:
-    """Returns True if noise like that of the values (n,) would make at least one of `samples` samples different."""
+    """Returns True if noise with the size of the noise of the values (n,) would change at least one of `samples` samples."""
     if len(values) < _LEAST:
         return False
     first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))

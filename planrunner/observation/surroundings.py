@@ -78,7 +78,7 @@ def smoothed(time: Array, values: Array) -> Temperature:
 
 
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
-    """Replaces the temperatures of segments at a common constant setpoint by their mean, unless the thermometer shows a difference
+    """Replaces the temperatures of segments at a common constant setpoint by their mean, if the thermometer shows no difference
     between them (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if the temperature is not
     constant."""
     from scipy.special import chdtrc

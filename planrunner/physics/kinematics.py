@@ -90,12 +90,12 @@ def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth
 def joint_angles(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> Array:
-    """Returns the joint angles (n,) [rad] for an attitude (3, 3). Of all solutions within the limits, it is the one that the table
-    reaches fastest from the joint angles `near`.
+    """Returns the joint angles (n,) [rad] for an attitude (3, 3). Among all solutions within the limits, the result is the solution
+    that the table reaches fastest from the joint angles `near`.
 
     The angle of a limited axis counts in full turns, so that cables unwind if necessary. A continuous axis turns the shorter way.
-    Of several equally fast solutions, the one whose limited axes are nearest to zero is chosen. If several solutions are left, the
-    one that turns in the positive direction is chosen. Raises `Unreachable`, which states the reason, if there is no solution.
+    Among equally fast solutions, the solution with the limited axes nearest to zero is chosen. Among the remaining solutions, the
+    solution that turns in the positive direction is chosen. Raises `Unreachable`, which states the reason, if there is no solution.
     """
     return quickest_move(axes, target, near, azimuth)[0]
 
@@ -245,7 +245,7 @@ def spin_axis(
 
 
 def check_geometry(axes: Sequence[TableAxis]) -> None:
-    """Raises `Unreachable` unless there are one to three axes, each perpendicular to the axis that carries it."""
+    """Raises `Unreachable` if there are not one to three axes, or if an axis is not perpendicular to the axis that carries it."""
     if not 1 <= len(axes) <= 3:
         raise Unreachable(f"a table has one to three axes, not {len(axes)}")
     for outer, inner in pairwise(axes):

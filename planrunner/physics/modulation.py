@@ -31,7 +31,8 @@ def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
 
     A drift ε(t) leaves an oscillation of the size |∫ ε·exp(−iωt) dt| at each of the two free rates ω. The sum of these two sizes is
     the semi-major axis of the ellipse along which the velocity moves. Without rotation, this axis is 2·|ε|/ω_s. Over n cycles, the
-    integral is that of one cycle times |sin(nx)/sin(x)|, where x = ω·period/2. Near a harmonic, it grows with every cycle.
+    integral is the integral over one cycle times |sin(nx)/sin(x)|, where x = ω·period/2. Near a harmonic, it grows with every
+    cycle.
     """
     natural = schuler_rate(site)
     if round(natural * cycle.period / (2 * math.pi)) == 0:

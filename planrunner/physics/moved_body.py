@@ -67,7 +67,7 @@ def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None
 def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
     """Computes the motion from measured angular rates (n, 3) relative to inertial space. `start`: array of shape (3, 3), attitude
     at the first sample, or None if it is unknown. `force`: array of shape (n, 3), measured specific force; by default, the specific
-    force of a sensor that only rotates. If the attitude is unknown, the specific force is zero unless `force` is given."""
+    force of a sensor that only rotates. If the attitude is unknown and `force` is not given, the specific force is zero."""
     n = len(time)
     if start is None:
         nothing = np.zeros((n, 3))

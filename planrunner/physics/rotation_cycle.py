@@ -7,8 +7,8 @@ the error that accumulates in one cycle.
 
 The rate of a turn has a trapezoidal profile, or a triangular one if the turn is too short to reach the full rate. All integrals are
 computed piece by piece. Stops and turns at a constant rate are integrated in closed form. Ramps are integrated by Gauss–Legendre
-quadrature on panels within which the phase changes by at most 1 rad, so that ten nodes are exact to rounding (Davis and Rabinowitz,
-Methods of Numerical Integration, 1984, section 2.7).
+quadrature on panels. Within a panel, the phase changes by at most 1 rad, so ten nodes are exact except for rounding (Davis and
+Rabinowitz, Methods of Numerical Integration, 1984, section 2.7).
 """
 
 from __future__ import annotations

@@ -26,9 +26,10 @@ rotation of the Earth."""
 
 
 class AngleFrom(StrEnum):
-    """States from what the angle of the table is known. `PLAN`: the angle is known from an encoder or, if the table does not turn
-    continuously, from the plan. `GRAVITY`: it is known from the accelerometers, because the table turns about an axis that is not
-    vertical. `NOTHING`: it is not known, because the table turns and its angle at the start of the segment is unknown."""
+    """States the source from which the angle of the table is known. `PLAN`: the angle is known from an encoder or, if the table
+    does not turn continuously, from the plan. `GRAVITY`: it is known from the accelerometers, because the table turns about an axis
+    that is not vertical. `NOTHING`: it is not known, because the table turns and its angle at the start of the segment is
+    unknown."""
 
     PLAN = "plan"
     GRAVITY = "gravity"
@@ -137,5 +138,6 @@ def fading(motion: Motion, size: int, rate: float) -> float:
 
 
 def turned_by(motion: Motion, since: Array) -> Array:
-    """Returns the planned angle of a table at the times `since` [s], rad; zero unless the table turns continuously."""
+    """Returns the planned angle of a table at the times `since` [s], rad. The angle is zero if the table does not turn
+    continuously."""
     return motion.rate * since if isinstance(motion, Spin) else np.zeros(len(since))

@@ -116,7 +116,7 @@ def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Ex
 
 
 def about_one_axis(motion: Motion) -> bool:
-    """Returns True if one angle describes the motion, that is, unless the motion turns several axes."""
+    """Returns True if one angle describes the motion, that is, if the motion does not turn several axes."""
     return not (isinstance(motion, Rock) and len(motion.phases) > 1)
 
 

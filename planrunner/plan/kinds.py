@@ -76,7 +76,7 @@ class Text:
     `pattern`: a regular expression that the whole text must match. `what`: a description of the required form, for messages.
     `hint`: advice on how to write the text.
 
-    A text that is a plain number in the file is accepted as written, unless the pattern rejects it.
+    A text that is a plain number in the file is accepted as written, if the pattern does not reject it.
     """
 
     pattern: str = ""
@@ -542,8 +542,8 @@ def _meant(
     """Maps each absent key to the unknown keys that may be misspellings of it, and each unknown key to a hint.
 
     An unknown key counts as a misspelling of the absent key that it resembles. An unknown key that resembles no absent key may be a
-    misspelling of any optional key. If there are at least as many such unknown keys as missing required keys, it may also be a
-    misspelling of a required key.
+    misspelling of any optional key. If the number of such unknown keys is at least the number of missing required keys, it may also
+    be a misspelling of a required key.
     """
     unknown = {name.text: name.mark for name, _ in node.entries if name.text not in known}
     if not unknown:

@@ -474,5 +474,5 @@ def sweep_schema() -> dict[str, object]:
 
 
 def signed_schema() -> dict[str, object]:
-    """Returns the JSON Schema of a single value with a leading ±, which stands for both signs."""
+    """Returns the JSON Schema of a single value with a leading ±, which means both signs."""
     return {"type": "string", "maxLength": _MAX_TEXT, "pattern": anchored(SIGNED)}

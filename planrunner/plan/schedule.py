@@ -209,7 +209,7 @@ class Segment:
 
     @property
     def rate(self) -> float:
-        """Returns the commanded rate [rad/s]; zero unless the table spins."""
+        """Returns the commanded rate [rad/s]; zero if the table does not spin."""
         return self.motion.rate if isinstance(self.motion, Spin) else 0.0
 
 

@@ -292,7 +292,7 @@ class _Open:
     """A sequence or mapping whose end has not been read yet.
 
     `around`: the nodes of the enclosing collection that come before this one. `before`: number of all nodes in the file before this
-    one. An alias counts as all the nodes that it stands for."""
+    one. An alias counts as all nodes to which it refers."""
 
     start: yaml.CollectionStartEvent
     around: list[Node]

@@ -133,7 +133,7 @@ def lacks_of_bench(bench: Bench, known: Collection[str], holds_temperature: bool
 
 
 def lacks_of_information(known: Collection[str], remedy: str) -> list[Lack]:
-    """Returns the required run information that is not among the `known` names. `remedy`: a text in which {name} stands for the
+    """Returns the required run information that is not among the `known` names. `remedy`: a text in which {name} is replaced by the
     name of the missing item."""
     return [
         Lack(item.clause, f"'{item.name}': {item.about}", remedy.format(name=item.name))

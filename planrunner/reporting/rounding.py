@@ -74,7 +74,7 @@ def in_parentheses(value: float, standard_uncertainty: float) -> str:
 
 
 def _decimal(number: float) -> Decimal:
-    """Returns the shortest decimal number that stands for a float: 0.1 becomes 0.1, not the nearest binary fraction."""
+    """Returns the shortest decimal number that represents a float: 0.1 becomes 0.1, not the nearest binary fraction."""
     return Decimal(repr(float(number)))
 
 

@@ -1,8 +1,8 @@
 """Renders templates in a Jinja environment in which a template can only arrange its data.
 
-The environment is sandboxed. Text is escaped unless it was made by this program. An undefined name is an error. Templates are read
-from the user's folder, if one is named, and then from the shipped folder. Every failure is a `ReportError` that names the template,
-the line and the reason.
+The environment is sandboxed. Text is escaped if it does not come from this program. An undefined name is an error. Templates are
+read from the user's folder, if one is named, and then from the shipped folder. Every failure is a `ReportError` that names the
+template, the line and the reason.
 """
 
 from __future__ import annotations

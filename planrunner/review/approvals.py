@@ -111,7 +111,7 @@ class StatedWithdrawal:
 
 @dataclass(frozen=True, slots=True)
 class DamagedApproval:
-    """A file that does not have the form of one of planrunner's approvals."""
+    """A file that does not have the form of an approval of planrunner."""
 
     file: str
     why: str
@@ -316,8 +316,8 @@ def judged(
 ) -> tuple[tuple[JudgedApproval, ...], bool]:
     """Checks every approval in the order of signing. Returns the results, and True if the rule of the bench is met.
 
-    The rule is met if as many persons approved as it requires. If the rule excludes approvals by the author, the plan must state
-    every author, and every author must be in the key ring.
+    The rule is satisfied if the required number of persons have approved. If the rule excludes approvals by the author, the plan
+    must state every author, and every author must be in the key ring.
     """
     files = list(stated)
     gone = set(rule.withdrawn) | _withdrawn(files, ring)

@@ -34,8 +34,8 @@ class Forecast:
 
 @dataclass(frozen=True, slots=True)
 class PredictedChange:
-    """Contains the predicted standard uncertainty of one coefficient, in `unit`, before and after a change; None where the plan
-    does not predict it."""
+    """Contains the predicted standard uncertainty of one coefficient, in `unit`, before and after a change; None if the plan does
+    not predict it."""
 
     estimate: str
     coefficient: str

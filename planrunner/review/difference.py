@@ -1,9 +1,9 @@
 """Computes the difference in meaning between two plans or two benches, as data.
 
-Segments are matched in three steps: first by their labels; then the remaining ones by their content (renamed segments); then the
-remaining ones by their position between matched neighbours, if little of their content differs. Matched segments that are not part
-of the longest common order count as moved. The computing time is proportional to the number of segments n, except for the longest
-increasing subsequence, which takes a time proportional to n·log n.
+Segments are matched in three steps. First, they are matched by their labels. Second, the remaining segments are matched by their
+content (renamed segments). Third, segments that still remain are matched by their position between matched neighbours, if their
+contents differ little. Matched segments that are not part of the longest common order count as moved. The computing time is
+proportional to the number of segments n, except for the longest increasing subsequence, which takes a time proportional to n·log n.
 """
 
 from __future__ import annotations
@@ -338,8 +338,8 @@ def _by_quantity(limits: Sequence[Branch]) -> dict[str, list[dict[str, Branch]]]
 
 
 def _limit_in_words(limit: dict[str, Branch] | None, other: dict[str, Branch] | None) -> str:
-    """Returns in words the bounds of a limit, and the other properties in which the limit differs from the limit with which it is
-    compared."""
+    """Describes the bounds of a limit in words. If the limit is compared with another limit, also describes their other
+    differences."""
     if limit is None:
         return ""
     low, high = limit["at_least"], limit["at_most"]

@@ -82,7 +82,7 @@ Lines = Mapping[tuple[object, ...], BudgetLine]
 
 
 def _lines(estimate: Estimate, coefficient: str) -> Lines:
-    """Returns the type B lines of a coefficient's budget that stand for a single input each. Lines of two runs with the same input
+    """Returns the type B lines of a coefficient's budget that each represent a single input. Lines of two runs with the same input
     have the same key."""
     return {
         (line.quantity, line.value, line.unit, line.standard_uncertainty, line.distribution, line.source): line

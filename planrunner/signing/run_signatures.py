@@ -265,8 +265,9 @@ def lacking_signatures(
 
     The bench file requires signatures if it names a key. The key ring also requires them if it contains a key of the bench that is
     valid on the day of the run. The requirement therefore remains even if the bench file is changed or the key is revoked. `made`:
-    time when the run began. `analyses`: numbers of the analyses of the run. A person may evaluate a run elsewhere. Therefore a
-    person's signature of an analysis can replace that of the bench; if a key ring is given, it must contain the person's key.
+    time when the run began. `analyses`: numbers of the analyses of the run. A person may evaluate a run elsewhere. Therefore, a
+    person's signature of an analysis can replace the signature of the bench. If a key ring is given, it must contain the person's
+    key.
     """
     day = made.date()
     expected = [one for one in ([] if ring is None else _benches(ring)) if one.person == bench.name]
@@ -329,7 +330,7 @@ def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], r
     and signatures that were added later are not a difference.
 
     `earlier`: True if the signature covers a seal that the run had before it was reopened. In this case, the present seal and
-    journal may differ from the signed ones, because the journal contains the digest of the earlier seal.
+    journal may differ from the signed files, because the journal contains the digest of the earlier seal.
     """
     try:
         present = _subjects(folder, before=file)
@@ -355,7 +356,8 @@ def _subjects(
     folder: GuardedFolder, before: str | None = None, analyses: Iterable[int] | None = None
 ) -> dict[str, str]:
     """Maps each file that a signature covers to its SHA-256 digest. `before`: file of a signature; this signature and all later
-    ones are left out. `analyses`: numbers of the analyses; by default, all analyses. Raises `OSError` if a file cannot be read."""
+    signatures are omitted. `analyses`: numbers of the analyses; by default, all analyses. Raises `OSError` if a file cannot be
+    read."""
     limits = {
         RUN: MOST_GIVEN,
         PLAN: MOST_GIVEN,

@@ -3,7 +3,7 @@ extent.
 
 A fault script is a YAML file that lists faults. The control channel accepts single faults while the bench runs.
 
-Frames that a sensor sends can be corrupted, lost, doubled, out of order, read at a wrong baud rate, or replaced by those of another
+The frames of a sensor can be corrupted, lost, doubled, out of order, read at a wrong baud rate, or replaced by frames of another
 instrument.
 """
 

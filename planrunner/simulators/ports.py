@@ -258,7 +258,7 @@ class SerialLine:
         self.waiting += data
 
     def pump(self, now: float) -> None:
-        """Sends as many bytes as the line can have transmitted by now. `now`: real time, s."""
+        """Sends the number of bytes that the line can have transmitted until now. `now`: real time, s."""
         self.credit = min(self.credit + (now - self.last) * self.bytes_a_second, float(self.capacity))
         self.last = now
         length = min(len(self.waiting), int(self.credit))

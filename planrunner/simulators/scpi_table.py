@@ -1,5 +1,5 @@
-"""A simulated table with SCPI-like commands. The commands are those of the example in the bench reference; errors are kept in a
-queue."""
+"""A simulated table with SCPI-like commands. The commands are the same as in the example of the bench reference. Errors are stored
+in a queue."""
 
 from __future__ import annotations
 

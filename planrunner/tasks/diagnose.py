@@ -73,7 +73,7 @@ class Diagnosed:
     """Contains a diagnosis with its recording, findings about the recording, and a proposal of what to measure next. The proposal
     is None if no question is open. `declarations`: wrong declarations that were corrected before the diagnosis. `stated`: maps each
     effect that is known to act to the stated values of its parameters. A value that is stated without a parameter name has the key
-    ''. Such a value applies to all amplitudes, or to the only parameter if there is just one."""
+    ''. Such a value applies to all amplitudes. If there is only one parameter, the value applies to this parameter."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -594,9 +594,9 @@ def only_channel(units: Mapping[str, str], dimension: str) -> str | None:
 def joined(first: Recorded, runs: Sequence[Path], notice: Announce | None = None) -> Recorded:
     """Joins a recording and later runs of the same sensor, if the sensor stayed switched on between the runs.
 
-    The time axis is continued: a later run is delayed by the difference between the start times in the run folders, or by more if
-    it would otherwise begin before the end of the previous run. `notice`: receives the progress of reading. Raises `InputError` if
-    a run has other channels or cannot be read.
+    The time axis is continuous: a later run is shifted by the difference between the start times in the run folders. The shift is
+    larger if the run would otherwise begin before the end of the previous run. `notice`: receives the progress of reading. Raises
+    `InputError` if a run has other channels or cannot be read.
     """
     whole, origin = first, first.created
     for run in runs:

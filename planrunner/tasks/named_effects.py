@@ -109,7 +109,7 @@ def stated_effects(made: Diagnosed) -> Stated:
 
 
 def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) -> Stated:
-    """Renumbers the orientations in the effects of a diagnosis, so that the numbers are those of a simulation of `segments`. A
+    """Renumbers the orientations in the effects of a diagnosis, so that the numbers agree with a simulation of `segments`. A
     simulation numbers the orientations of `segments` in the order of first use, and a diagnosis numbers the orientations of the
     recorded segments."""
     seen = list(dict.fromkeys(map(orientation_key, observed.attitude)))
@@ -123,7 +123,8 @@ def as_planned(stated: Stated, observed: Observed, segments: Sequence[Segment]) 
 
 
 def _renumbered(name: str, seen: Sequence[tuple[float, ...]], planned: Sequence[tuple[float, ...]]) -> str:
-    """Replaces the number in a name such as `orientation_3_x` by the number of the same orientation among the planned ones."""
+    """Replaces the number in a name such as `orientation_3_x` by the number of the same orientation among the planned
+    orientations."""
     word, number, axis = name.split("_")
     place = seen[int(number) - 1]
     return name if place not in planned else f"{word}_{planned.index(place) + 1}_{axis}"

@@ -66,8 +66,8 @@ class MenuEntry:
 
 
 def menu(recorded: Sequence[Segment], models: BenchModels) -> list[MenuEntry]:
-    """Returns the options for segments that may follow the recorded ones. An option states a temperature only if the recorded plan
-    does."""
+    """Returns the options for segments that may follow the recorded segments. An option states a temperature only if the recorded
+    plan does."""
     usual = float(np.median([segment.dwell for segment in recorded if segment.dwell]))
     places = _orientations(recorded, models)
     upright = list({tuple(np.round(place[:, 2], 3)): place for place in places}.values())
@@ -102,8 +102,8 @@ def _turning(place: Array, rate: float, seconds: float, kelvin: float | None) ->
 
 
 def _orientations(recorded: Sequence[Segment], models: BenchModels) -> list[Array]:
-    """Lists the recorded orientations, then others along the site's axes, then oblique ones. If nothing can turn the sensor, lists
-    only the recorded orientations."""
+    """Lists the recorded orientations, then other orientations along the site's axes, then oblique orientations. If nothing can
+    turn the sensor, lists only the recorded orientations."""
     visited = {
         tuple(np.round(item.attitude, 6).ravel() + 0.0): item.attitude for item in recorded if item.attitude is not None
     }

@@ -136,8 +136,8 @@ def _minute(moment: str, before: str = "") -> str:
 
 
 def provenance(reader: RunReader, analysis: str, analysed: str, *, seeded: bool = True) -> dict[str, str]:
-    """Returns the origin of the results: times, digests and versions of the run. Those of the analysis are added if they differ
-    from those of the run. `seeded`: True if the seed of the run had an effect."""
+    """Returns the origin of the results: times, digests and versions of the run. The corresponding values of the analysis are added
+    if they differ from the values of the run. `seeded`: True if the seed of the run had an effect."""
     from planrunner.archive.provenance import versions
 
     facts = {"analysis": analysis} if analysis else {}

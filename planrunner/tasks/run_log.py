@@ -407,8 +407,8 @@ def _whole(log: RunLog) -> LogContent:
 def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None = None) -> str:
     """Verifies a proof without the log; returns a description of what it proves.
 
-    `proof`: data that match the schema of proofs. `head`: the tree head that the verifier trusts; by default, the one in the proof.
-    `seal`: SHA-256 of the seal that the proof must concern. Raises `IntegrityError` if the proof is not valid.
+    `proof`: data that match the schema of proofs. `head`: the tree head that the verifier trusts; by default, the tree head in the
+    proof. `seal`: SHA-256 of the seal that the proof must concern. Raises `IntegrityError` if the proof is not valid.
     """
     stated = TreeHead.from_json(proof["head"])
     if head is not None and (head.size, head.root) != (stated.size, stated.root):

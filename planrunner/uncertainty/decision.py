@@ -91,9 +91,9 @@ def decide(
     `rule`: with `simple`, the value passes if it lies within the limits (simple acceptance, JCGM 106, 8.2). With `guarded`, it
     passes if it lies within the limits by at least the guard band w = r·U (guarded acceptance, JCGM 106, 8.3.2). Here r is
     `factor`, and U = k·u is the expanded uncertainty for the coverage probability `confidence`. For the role SCALE, U is instead
-    the distance between value and limit for which the χ² interval of the value just reaches the limit. A value that is not finite,
-    or whose uncertainty is not finite, never passes. Raises ValueError if both limits are missing or if the lower limit is above
-    the upper.
+    the distance between value and limit at which the χ² interval of the value touches the limit. A value that is not finite, or
+    whose uncertainty is not finite, never passes. Raises ValueError if both limits are missing or if the lower limit is above the
+    upper.
     """
     if lower > upper or (math.isinf(lower) and math.isinf(upper)):
         raise ValueError("a limit needs a lower or an upper bound, the lower not above the upper")

@@ -33,9 +33,10 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
 
 
 def secant(axis: Array, vector: Array, turned: Array) -> Array:
-    """Computes the change of a vector per radian of rotation about one axis. The result is exact for the complete rotation `turned`.
-    `turned`: array of shape (3,) in rad, the complete rotation vector φ. If the changes for the three axes are multiplied by the
-    components of φ and added, the sum is (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ × (φ × v) (Rodrigues)."""
+    """Computes the change of a vector per radian of rotation about one axis. The result is exact for the complete rotation
+    `turned`. `turned`: array of shape (3,) in rad, the complete rotation vector φ. The changes for the three axes, multiplied by
+    the components of φ, have a sum that follows from Rodrigues' formula: (R(−φ) − I)·v = −(sin φ ÷ φ)·φ × v + ((1 − cos φ) ÷ φ²)·φ
+    × (φ × v)."""
     first = np.cross(axis, vector)
     angle = float(np.linalg.norm(turned)) / np.pi
     return np.asarray(-np.sinc(angle) * first + np.sinc(angle / 2) ** 2 / 2 * np.cross(turned, first))

@@ -8,9 +8,9 @@ has α = 2, flicker phase noise α = 1, white frequency noise (angle random walk
 Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using the lag 1 autocorrelation, 18th EFTF, 2004 (also NIST
 SP 1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003
 (SP 1065, 5.4.1). The phase is computed from rate samples, so it is the exact integral of the rate, not an average over a sampling
-interval. Therefore the filter factor is F = ∞ for α ≤ 0. For white noise, the resulting degrees of freedom equal those of the
-empirical formula of SP 1065, even at the shortest averaging times. For sums whose length grows with the averaging factor, a coarser
-grid is used, which covers the same number of averaging times.
+interval. Therefore the filter factor is F = ∞ for α ≤ 0. For white noise, the resulting degrees of freedom agree with the empirical
+formula of SP 1065, even at the shortest averaging times. For sums whose length grows with the averaging factor, a coarser grid is
+used, which covers the same number of averaging times.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None
     """Determines the noise exponent α from averages of the phase over `factor` samples within its runs. Returns None if there are
     fewer than `LEAST_POINTS` averages.
 
-    `before`: the exponent found at the next shorter averaging time. The function returns `before`, unless the exponent of the
-    averages differs from `before` by more than half a step plus two standard deviations. The reason is that few averages are not
-    reliable: from thirty averages alone, white noise would be mistaken for a neighbouring type one time in four.
+    `before`: the exponent found at the next shorter averaging time. The function returns `before` if the exponent of the averages
+    differs from `before` by at most half a step plus two standard deviations. The reason is that few averages are not reliable:
+    from thirty averages alone, white noise would be mistaken for a neighbouring type one time in four.
     """
     averages, count = [], 0
     for run in runs:

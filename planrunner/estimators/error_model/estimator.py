@@ -5,8 +5,8 @@ output.
 
 The columns come from `planrunner.error_model.effects`, which simulations and diagnoses also use. Here they are averaged over the
 segments. The parameters of the effects have the names and units of the catalogue, so that a result can be stated in a bench file.
-If an output is not recorded as a rate or an acceleration but, for example, in pulse/s, then output = K · (input + Σ …), where K is
-its fitted scale factor.
+An output may be recorded in another unit than a rate or an acceleration, for example in pulse/s. Its model is then output = K ·
+(input + Σ …), where K is its fitted scale factor.
 """
 
 from __future__ import annotations

@@ -105,8 +105,8 @@ class WithinFit:
 
     `amplitudes`: the p amplitudes of the fit: first the amplitudes of the model, then the shapes that are not discrete. `matrix`:
     array of shape (n, p), design matrix of the means, SI value per SI amplitude. `mean`: array of shape (n,), the observed means.
-    `offset`: array of shape (n,), the part of the means that is not fitted. The unit of `mean` and `offset` is that of the output.
-    `own`: array of shape (n,) in SI units, the mean output of an ideal sensor. `available`: maps each effect to the names of all
+    `offset`: array of shape (n,), the part of the means that is not fitted. `mean` and `offset` have the unit of the output. `own`:
+    array of shape (n,) in SI units, the mean output of an ideal sensor. `available`: maps each effect to the names of all
     amplitudes that it has for this output. `shapes`: maps each effect to the fitted value of its shape. `at_bound`: names of
     effects whose shape is at a bound of the catalogue's values. `coloured`: ratio of the variance of batch means to the variance
     that white noise explains; 1 if the noise is white. `uneven`: the largest of the ratios that `uneven_ratios` computes for the
@@ -577,8 +577,8 @@ def errors_of_phase(turning: Sequence[NDArray[np.complex128]]) -> Array:
 
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
     """Computes the ratio of each contrast's variance to the variance that white noise explains, shape (S,). The ratios are
-    estimated from the scatter of the segments' contributions to the contrasts. All ratios are 1 unless this scatter, for all
-    contrasts together, is significantly larger than white noise explains.
+    estimated from the scatter of the segments' contributions to the contrasts. All ratios are 1 if white noise explains this
+    scatter, that is, if the scatter of all contrasts together is not significantly larger.
 
     `functionals`: array of shape (S, N), orthonormal weights of the samples in each contrast. `left`: array of shape (N,),
     residuals divided by their noise. `first`: array of shape (n,), index of the first sample of each segment. `coloured`: ratio of

@@ -3,8 +3,8 @@ axis.
 
 Each output is fitted by a linear model of named terms at the mean stimulus of every segment, which includes the Earth's rotation
 (IEEE Std 1431, IEEE Std 1293; Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 8). Gyros use all segments.
-Accelerometers use only segments at rest, because they sense centripetal acceleration during a spin unless they are on the rotation
-axis.
+Accelerometers use only segments at rest. During a spin, an accelerometer senses centripetal acceleration, except if it is on the
+rotation axis.
 
 The report contains tables of the matrices and their inverses, and notes that explain how to apply them.
 """

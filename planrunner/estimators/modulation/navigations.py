@@ -57,8 +57,8 @@ class Navigation:
 
     @property
     def cep_rate(self) -> float:
-        """Returns the CEP rate [nmi/h]: √(ln 2) times the slope of the radial error over time. The slope is that of a fitted line
-        through the origin."""
+        """Returns the CEP rate [nmi/h]: √(ln 2) times the slope of the radial error over time. The slope is computed from a fitted
+        line through the origin."""
         time = self.course[0]
         return CEP_SHARE * float(time @ self.radial / (time @ time)) * HOUR / NAUTICAL_MILE
 

@@ -155,8 +155,8 @@ class RockingDrift:
 
 
 def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParameters) -> Windows:
-    """Returns the positions of the windows, which are the same for all runs. The second window is at the end of the shortest run,
-    unless the plan states where it begins."""
+    """Returns the positions of the windows, which are the same for all runs. By default, the second window is at the end of the
+    shortest run. The plan may state another start of the window."""
     for item in recorded:
         if item.truncated:
             raise UnfitDataError(f"'{item.label}' was cut short: repeat its quadruple")

@@ -297,7 +297,7 @@ def _quiet(label: str, mean: Array, site: Site) -> Said:
 
 
 def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site) -> None:
-    """Raises `UnfitDataError` unless the mean readings are those of a sensor at rest. `channels`: names of the six channels.
+    """Raises `UnfitDataError` if the mean readings do not agree with a sensor at rest. `channels`: names of the six channels.
     `mean`: array of shape (6,), rad/s and m/s², mean readings at the first stop."""
     if not np.isfinite(mean).all():
         raise UnfitDataError(f"segment '{label}' has too few usable samples: record it again")

@@ -168,8 +168,8 @@ class Navigated:
 
 
 def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S, Sequence[S]]:
-    """Returns the segment for the alignment, and the segments to navigate. Raises `EstimationError` unless exactly one segment is
-    for the alignment and at least one follows it."""
+    """Returns the segment for the alignment, and the segments to navigate. Raises `EstimationError` if there is not exactly one
+    segment for the alignment, or if no segment follows it."""
     found = [k for k, label in enumerate(labels) if matches(label, pattern)]
     if not found:
         raise EstimationError(

@@ -143,8 +143,8 @@ class IncrementReader:
 
 def scales(recorded: RecordedSegment, channels: Sequence[str]) -> tuple[Array, NDArray[np.bool_]]:
     """Returns the factors that convert the channels to SI units, shape (6,). Also returns an array that is True for each channel
-    that gives increments. Raises `EstimationError` for a missing channel, and for a unit that is neither that of a rate nor that of
-    an increment."""
+    that gives increments. Raises `EstimationError` for a missing channel, and for a channel whose unit is not a unit of a rate or
+    of an increment."""
     factors, integrated = np.empty(len(channels)), np.zeros(len(channels), dtype=np.bool_)
     for k, name in enumerate(channels):
         if name not in recorded.units:

@@ -23,8 +23,8 @@ def branches(temperature: Array, least: float) -> Integers:
     """Divides successive temperatures [degC] into rising and falling branches. Returns, for each of the n temperatures, the index
     of its branch, counted from 0.
 
-    A branch ends at an extreme value if, after it, the temperature moves back by more than `least` [K] and by more than a tenth of
-    the range of all temperatures.
+    A branch ends at an extreme value if the temperature then moves back by more than two limits: `least` [K], and a tenth of the
+    range of all temperatures.
     """
     number = np.zeros(len(temperature), dtype=np.int64)
     if not len(temperature):

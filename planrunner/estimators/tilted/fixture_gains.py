@@ -33,7 +33,8 @@ AXES = ("x", "y", "z")
 
 
 def tilt_part(orientation: str, axis: str) -> str:
-    """Returns the name of a tilt of the fixture in one orientation. The tilt has the same name wherever it acts."""
+    """Returns the name of a tilt of the fixture in one orientation. The tilt has the same name in all segments and estimates in
+    which it acts."""
     return f"{orientation}, about {axis}"
 
 

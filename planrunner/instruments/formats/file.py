@@ -198,7 +198,8 @@ class FormatFile(ABC, Generic[Keys]):
 
     def rows(self, span: Span = EVERYTHING) -> ReadRows:
         """Yields the samples in a span, in batches of at most `BATCH` rows: times (n,), in s, and the values (n,) of each channel.
-        A missing number is NaN. Raises `InstrumentError` at the first row whose time is not later than that of the row before."""
+        A missing number is NaN. Raises `InstrumentError` at the first row whose time is not later than the time of the previous
+        row."""
         before: float | None = None
         following: int | None = None
         for first, rows, time in self._timed(span):
@@ -257,7 +258,7 @@ class FormatFile(ABC, Generic[Keys]):
         self.stamps.dates.decide()
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
-        """Raises `InstrumentError` unless every time is present and later than the time of the previous row. `before`: time of the
+        """Raises `InstrumentError` if a time is missing, or is not later than the time of the previous row. `before`: time of the
         last row of the previous batch."""
         if not np.all(np.isfinite(time)):
             row = first + int(np.flatnonzero(~np.isfinite(time))[0])

@@ -249,9 +249,9 @@ def guessed_format(path: Path, name: str) -> Format | None:
 
 
 def _text_keys(start: str, encoding: str) -> TextKeys | None:
-    """Guesses the layout of a text file from its first lines. The chosen separator is the one for which most lines have the same
-    number of columns. If several separators are equally good, the separator that gives the most columns is chosen. Returns None if
-    the lines contain no columns of numbers."""
+    """Guesses the layout of a text file from its first lines. The function chooses the separator with which most lines have the
+    same number of columns. If several separators are equally good, the separator that gives the most columns is chosen. Returns
+    None if the lines contain no columns of numbers."""
     lines = start.splitlines()[:-1] or start.splitlines()
     best: tuple[int, int, TextKeys] | None = None
     for word, separator in SEPARATORS.items():

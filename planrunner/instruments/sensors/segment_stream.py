@@ -115,8 +115,8 @@ class SegmentStream:
         )
 
     def _onwards(self, index: Whole) -> NDArray[np.bool_]:
-        """Returns a mask of the frames whose counter is later than that of all earlier frames. All other frames were sent twice or
-        arrived out of order; they are counted."""
+        """Returns a mask of the frames whose counter is later than the counters of all earlier frames. All other frames were sent
+        twice or arrived out of order; they are counted."""
         before = np.maximum.accumulate(np.concatenate([[self._last], index]))
         onwards: NDArray[np.bool_] = index > before[:-1]
         again = int(np.count_nonzero(index == before[:-1]))
@@ -126,8 +126,8 @@ class SegmentStream:
         return onwards
 
     def _within(self, time: Array, index: Whole, ready: Samples) -> Block:
-        """Selects the samples of the dwell: as many sampling times as requested, beginning with the first frame after the start of
-        the dwell."""
+        """Selects the samples of the dwell: the requested number of sampling times, beginning with the first frame after the start
+        of the dwell."""
         inside = time > self._start
         if math.isnan(self._first) and inside.any():
             self._first = float(index[inside][0])

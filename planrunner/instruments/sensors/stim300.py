@@ -25,13 +25,13 @@ from planrunner.plan.source import Node, Scalar
 
 INTERNAL_RATE = 2000.0  # Hz
 CONTENTS = ("", "a", "i", "ai", "t", "at", "it", "ait")
-"""Contents of a datagram in addition to the gyros: a stands for accelerometers, i for inclinometers, t for temperatures."""
+"""Contents of a datagram in addition to the gyros: `a` means accelerometers, `i` inclinometers, and `t` temperatures."""
 DATAGRAMS: Mapping[int, str] = {
     **dict(zip((0x90, 0x91, 0x92, 0x93, 0x94, 0xA5, 0xA6, 0xA7), CONTENTS, strict=True)),
     **dict(zip(range(0xF0, 0xF8), (text + "p" for text in CONTENTS), strict=True)),
     **dict(zip((0x98, 0x99, 0x9A, 0x9B, 0x9C, 0xAD, 0xAE, 0xAF), (text + "x" for text in CONTENTS), strict=True)),
 }
-"""Contents of each datagram, by its identifier. In addition to the letters of `CONTENTS`, p stands for PPS and x for AUX."""
+"""Contents of each datagram, by its identifier. In addition to the letters of `CONTENTS`, `p` means PPS and `x` means AUX."""
 ACCELERATION_SCALES = {"5 g": 2.0**-20, "10 g": 2.0**-19, "30 g": 2.0**-18, "80 g": 2.0**-16}
 STATUS = {
     7: "system integrity error",

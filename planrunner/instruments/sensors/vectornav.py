@@ -166,7 +166,7 @@ def ask(link: SerialStream, clock: Clock, body: str, patience: float = 1.0) -> s
 
 
 def word(fields: tuple[str, ...]) -> int:
-    """Returns the word that stands for these fields of the common group."""
+    """Returns the field word that selects these fields of the common group."""
     return sum(1 << FIELDS[name][0] for name in set(fields))
 
 

@@ -38,7 +38,7 @@ POLL = 0.05
 
 
 class LinkedTableKeys(LinkKeys, WiredTableKeys):
-    """Declares the bench-file keys of a real table, including those of the link to its controller."""
+    """Declares the bench-file keys of a real table, including the keys of the link to its controller."""
 
 
 K = TypeVar("K", bound=LinkedTableKeys)

@@ -66,8 +66,8 @@ SINE = ("axis", "amplitude", "frequency", "phase")
 
 
 class TableCommands(Record):
-    """Keys with the commands of a table. The placeholder `{axis}` stands for the number of the axis; the other placeholders stand
-    for values in degrees, deg/s and Hz."""
+    """Keys with the commands of a table. The placeholder `{axis}` is replaced by the number of the axis. The other placeholders are
+    replaced by values in degrees, deg/s and Hz."""
 
     identify: str = key(Text(), "Asks for the identification.", "*IDN?", default="*IDN?")
     error: str = key(

@@ -1,8 +1,8 @@
 """Performs motions that a table cannot perform by itself. A separate thread sends the commands at the planned times.
 
-Times are those of the bench's clock. If an error occurs in the thread, the motion ends, and the error is reported at the next
-query. The motion also ends if the run has not queried the table for too long; otherwise, the thread could move the table again
-after the watchdog has made it safe.
+Times come from the bench's clock. If an error occurs in the thread, the motion ends, and the error is reported at the next query.
+The motion also ends if the run has not queried the table for too long; otherwise, the thread could move the table again after the
+watchdog has made it safe.
 
 For a cycle, the times at which each turn begins, brakes and ends are computed in advance.
 """

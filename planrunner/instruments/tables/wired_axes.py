@@ -32,7 +32,7 @@ class WiredAxisSpec(AxisSpec):
 
 
 class WiredTableKeys(TableKeys):
-    """Declares the bench-file keys of a real table, without those of the link to its controller."""
+    """Declares the bench-file keys of a real table, without the keys of the link to its controller."""
 
     axes: tuple[WiredAxisSpec, ...] = key(
         AxesKind(WiredAxisSpec),

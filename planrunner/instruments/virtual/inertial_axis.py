@@ -129,7 +129,7 @@ class InertialAxis:
 
     def level(self, felt: Value, drift: Array, scale: Array, hold: int) -> Array:
         """Returns the output without white noise, in `unit`. `drift`, `scale`: one value for every `hold` samples. The result has
-        as many values as `felt`, or as `drift` if `felt` is a float."""
+        the length of `felt`, or of `drift` if `felt` is a float."""
         if isinstance(felt, np.ndarray):
             drift, scale = (np.repeat(values, hold)[: felt.size] for values in (drift, scale))
         total = felt + drift

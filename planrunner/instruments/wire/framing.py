@@ -130,8 +130,8 @@ class Framer:
 
 @lru_cache(maxsize=32)
 def _positions(framing: Framing) -> tuple[NDArray[np.uint32], int]:
-    """Returns the tables of `Checksum.by_position` for the bytes that the checksum covers. They are empty unless all frames have
-    the same length and the checksum is a CRC."""
+    """Returns the tables of `Checksum.by_position` for the bytes that the checksum covers. They are empty if the frames have
+    different lengths, or if the checksum is not a CRC."""
     covered = framing.longest - framing.check_bytes - framing.covered_from
     if framing.rule != FIXED or framing.checksum.kind != CRC or not 0 < covered <= MOST_TABLES:
         return np.empty((0, 256), np.uint32), 0

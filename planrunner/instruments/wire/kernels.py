@@ -291,7 +291,7 @@ def find(data, sync, trailer, shape, check, positions, base, kind, width, tables
 
 @compiled()
 def alike(data, starts, places):  # type: ignore[no-untyped-def]
-    """Returns True for each frame whose bytes at `places` are equal to those of the first frame."""
+    """Returns True for each frame whose bytes at `places` are equal to the bytes of the first frame at these places."""
     found = np.ones(starts.size, np.bool_)
     for frame in range(starts.size):
         for item in range(places.size):
@@ -367,9 +367,9 @@ def _floats(data, starts, offset, width, little, scale, out):  # type: ignore[no
 
 @compiled()
 def decimals(data, starts, lengths, out):  # type: ignore[no-untyped-def]
-    """Reads the decimal numbers that follow the commas of each line, up to `*`. Also returns True for each line that contains
-    exactly as many numbers as `out` has rows. A number may have at most 15 digits: it is computed as a whole number divided by a
-    power of ten, so it is rounded only once.
+    """Reads the decimal numbers that follow the commas of each line, up to `*`. Also returns True for each line in which the count
+    of numbers is equal to the number of rows of `out`. A number may have at most 15 digits: it is computed as a whole number
+    divided by a power of ten, so it is rounded only once.
 
     Each line must end with a line feed, as in the result of `find`. A line feed is not a comma, asterisk, sign, point or digit, so
     every search ends there.

@@ -170,7 +170,8 @@ class MessageLink:
         self._remarks: deque[str] = deque(maxlen=MOST_REMARKS)
 
     def write(self, *texts: str) -> None:
-        """Sends messages that have no reply. A message is not repeated, because it is unknown how much of it arrived."""
+        """Sends messages that have no reply. A message is not repeated, because nobody knows which part of the message has
+        arrived."""
         with self._held(f"'{texts[-1]}'"):
             self._once(texts, None)
 
@@ -352,7 +353,7 @@ def shown(data: bytes | bytearray) -> str:
 
 
 def _wait_at_most(resource: Wire, seconds: float) -> None:
-    """Sets the time-out of the next read, unless it is already set."""
+    """Sets the time-out of the next read if it is not already set."""
     if abs(resource.timeout - seconds * 1000) > 0.5:
         resource.timeout = seconds * 1000
 

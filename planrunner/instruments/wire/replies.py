@@ -14,8 +14,8 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 def numbers(link: MessageLink, request: str, count: int, framing: AnswerFraming | None = None) -> list[float]:
     """Returns the numbers in the answer to a request, which are separated by commas or semicolons. Raises `InstrumentError` if
-    there are too few numbers or if one is not finite. After this error, data that still arrive are discarded, so that they are not
-    taken for the answer to the next request."""
+    there are too few numbers or if one is not finite. After this error, data that still arrive are discarded. Otherwise, they would
+    be mistaken for the answer to the next request."""
     reply = link.query(request, framing=framing)
     try:
         return parsed(reply, request, count, link.settings.address)
@@ -41,7 +41,7 @@ def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
 
 
 def identification(said: str) -> dict[str, str]:
-    """Returns the four fields of an answer to `*IDN?` (IEEE 488.2, 10.14), or as many as the answer contains."""
+    """Returns the four fields of an answer to `*IDN?` (IEEE 488.2, 10.14), or fewer if the answer contains fewer."""
     return dict(zip(("manufacturer", "model", "serial", "firmware"), map(str.strip, said.split(",")), strict=False))
 
 

@@ -7,7 +7,7 @@ A new value x of the check standard with the stated standard uncertainty u is co
   first values.
 
 τ is the stated repeatability or, if none is stated, the scatter of the first values. A tested value never contributes to its own
-limits. The method is that of the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2. The values of a check standard are charted
+limits. The method follows the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2. The values of a check standard are charted
 about an accepted value: in a Shewhart chart and, to detect small changes, as an exponentially weighted moving average. The limits
 come from earlier data. SOP 17 (NISTIR 7383) describes the same method, with limits of action at three standard deviations, and with
 a test against the reference value. In this module, the stated uncertainty of each value also widens the limits for this value
