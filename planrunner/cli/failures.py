@@ -63,13 +63,10 @@ _SYSTEM = _Known(exit_codes.WRONG_INPUT, "file-system")
 _INTERNAL = _Known(exit_codes.FAULT, "internal-error")
 
 
-def failure_of(error: Exception, where: str = COMMAND_LINE.file) -> CommandFailure:
-    """Makes the failure that reports an exception. `where`: file or folder that the command processes, for findings without a
-    position.
-
-    The traceback of an unexpected exception is saved in a temporary file, which the message names.
-    """
-    return unsaved_failure_of(error, where).saved()
+def failure_of(error: Exception) -> CommandFailure:
+    """Makes the failure that reports an exception. The traceback of an unexpected exception is saved in a temporary file, which the
+    message names."""
+    return unsaved_failure_of(error, COMMAND_LINE.file).saved()
 
 
 def unsaved_failure_of(error: Exception, where: str) -> CommandFailure:

@@ -20,6 +20,7 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.design.efficiency import information
 
+MOST_ROUNDS = 6  # of climbing
 NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
 
 
@@ -168,7 +169,6 @@ def solve_with_climbing(
     weighting: Array | None = None,
     *,
     tolerance: float = 2e-4,
-    most_rounds: int = 6,
     fixed: Array | None = None,
 ) -> Continuous:
     """Returns the best fractions of the observations for points of a continuous region. The search starts with the candidates
@@ -180,7 +180,7 @@ def solve_with_climbing(
     known = np.asarray(rows, dtype=float)
     shares: Array | None = None
     best: Continuous | None = None
-    for _ in range(most_rounds):
+    for _ in range(MOST_ROUNDS):
         found = solve(known, weighting, tolerance=tolerance / 3, most_steps=1000, start=shares, fixed=fixed)
         tops, gains = climb(found.matrix, weighting)
         mean = found.mean

@@ -179,11 +179,10 @@ def free_order(
     positions: Sequence[float],
     planned: RotationCycle,
     cable: Cable = Cable(),
-    most: float = HALF_TURN,
     workers: Workers = ALONE,
 ) -> FoundCycle:
     """Searches for cycles through `positions` [rad, from the first position of the planned cycle]. Every position is held equally
-    often, and no turn is longer than `most` rad.
+    often, and no turn is longer than half a turn.
 
     Let n be the number of positions. The search first tries every order with n moves, then every order with 2·n moves, and so on.
     It ends when a cycle has zero residual and a mean angle of zero. If there are too many orders, the search tries only turns to
@@ -199,8 +198,8 @@ def free_order(
     best: RotationCycle | None = None
     for visits in range(1, MOST_MOVES // len(angles) + 1):
         for near in (False, True):
-            work = partial(_best_after, angles, visits, planned, cable, most, near)
-            firsts = range(len(_steps(angles, _home(angles), most, near)))
+            work = partial(_best_after, angles, visits, planned, cable, near)
+            firsts = range(len(_steps(angles, _home(angles), near)))
             found, tally = _together(visits * len(angles), results_in_order(work, firsts, workers))
             rounds.append(tally)
             best = _better(best, found)
@@ -217,10 +216,10 @@ def _home(angles: Sequence[float]) -> int:
 
 
 def _best_after(
-    angles: Sequence[float], visits: int, planned: RotationCycle, cable: Cable, most: float, near: bool, first: int
+    angles: Sequence[float], visits: int, planned: RotationCycle, cable: Cable, near: bool, first: int
 ) -> tuple[RotationCycle | None, Round]:
     """Returns the best of the cycles that begin with the step number `first` from the home position."""
-    return _Search(angles, visits, planned, cable, most, near, first).run()
+    return _Search(angles, visits, planned, cable, near, first).run()
 
 
 class _Search:
@@ -233,7 +232,6 @@ class _Search:
         visits: int,
         planned: RotationCycle,
         cable: Cable,
-        most: float,
         near: bool,
         first: int,
     ):
@@ -241,7 +239,7 @@ class _Search:
         self.left = [visits] * len(angles)
         self.planned, self.cable = planned, cable
         self.home = _home(angles)
-        self.steps = [_steps(angles, index, most, near) for index in range(len(angles))]
+        self.steps = [_steps(angles, index, near) for index in range(len(angles))]
         made = {turn: _turn(turn, planned) for steps in self.steps for _, turn in steps}
         self.parts = [
             {turn: complex(np.exp(1j * angle)) * made[turn][0] for _, turn in steps}
@@ -301,16 +299,16 @@ class _Search:
             self.narrowest = self.best.reach[1] - self.best.reach[0]
 
 
-def _steps(angles: Sequence[float], start: int, most: float, near: bool) -> list[tuple[int, float]]:
-    """Returns the permitted steps from one position, as pairs of the index of the next position and the turn to it. The shortest
-    turn comes first; of two equally long turns, the positive turn comes first."""
+def _steps(angles: Sequence[float], start: int, near: bool) -> list[tuple[int, float]]:
+    """Returns the permitted steps of at most half a turn from one position, as pairs of the index of the next position and the turn
+    to it. The shortest turn comes first; of two equally long turns, the positive turn comes first."""
     count = len(angles)
     ends = [(start + 1) % count, (start - 1) % count] if near else [index for index in range(count) if index != start]
     found = set()
     for end in ends:
         short = math.remainder(angles[end] - angles[start], TURN)
         for turn in (short, short - math.copysign(TURN, short)):
-            if abs(turn) <= most + _ANGLE:
+            if abs(turn) <= HALF_TURN + _ANGLE:
                 found.add((end, round(turn, 12)))
     return sorted(found, key=lambda step: (round(abs(step[1]), 9), -step[1]))
 

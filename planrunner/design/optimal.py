@@ -23,6 +23,7 @@ RowsOf = Callable[[Array], Array]
 Progress = Callable[[float], None]
 
 DIFFERENCE = 1e-5  # rad; central differences of smooth rows are then good to about 1e-10
+LEAST_SHARE = 0.25  # of the time that a position would have if all times were equal
 CLIMBERS = 24  # places from which the variance is climbed
 
 
@@ -179,13 +180,11 @@ def bound(
     )
 
 
-def allocate(
-    rows: Array, weighting: Array | None = None, *, least_share: float = 0.25, fixed: Array | None = None
-) -> Array:
+def allocate(rows: Array, weighting: Array | None = None, *, fixed: Array | None = None) -> Array:
     """Returns the fractions of the total recording time for given positions, shape (n,); they add up to 1. The variance of an
-    observation is inversely proportional to its time. `least_share`: the smallest time of a position, as a fraction of the time
-    that it would have if all times were equal. It ensures that all positions remain in the plan, for checking the model."""
-    return solve(rows, weighting, least=least_share / len(rows), tolerance=1e-9, fixed=fixed).shares
+    observation is inversely proportional to its time. Every position has at least the fraction `LEAST_SHARE` of the time that it
+    would have if all times were equal. All positions therefore remain in the plan, for checking the model."""
+    return solve(rows, weighting, least=LEAST_SHARE / len(rows), tolerance=1e-9, fixed=fixed).shares
 
 
 def with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:

@@ -135,14 +135,14 @@ def _draw_courses(axes: Axes, plot: Plot) -> None:
         axes.set_xlim(np.nanmin(xs), np.nanmax(xs))
 
 
-def thinned(values: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
-    """Returns the indices of the values of a curve that are drawn. The curve has n values. A curve of up to `most` values is drawn
+def thinned(values: Array) -> NDArray[np.intp]:
+    """Returns the indices of the values of a curve that are drawn. The curve has n values. A curve of up to `MOST_POINTS` values is drawn
     completely. A longer curve is divided into many equal intervals. Its first and last value are drawn, and the lowest, the highest
     and the first non-finite value of each interval, so that no peak and no gap is lost."""
-    if len(values) <= most:
+    if len(values) <= MOST_POINTS:
         return np.arange(len(values))
     kept = {0, len(values) - 1}
-    for stretch in np.array_split(np.arange(len(values)), max(1, (most - 2) // 3)):
+    for stretch in np.array_split(np.arange(len(values)), max(1, (MOST_POINTS - 2) // 3)):
         part = values[stretch]
         finite = np.isfinite(part)
         if finite.any():

@@ -23,6 +23,7 @@ from planrunner.reporting.view import coefficient_row, named, table_view
 
 MAX_PICTURES = 200
 MAX_BARS = 5000
+MOST_LABELS = 4  # in a short list
 _IDLE = ("–", "0")
 """Contents of cells without information. A column that contains only such cells is left out."""
 
@@ -173,12 +174,12 @@ def orientations(segments: Sequence[Segment]) -> list[list[Segment]]:
     return list(groups.values())
 
 
-def labels_in_short(labels: Sequence[str], most: int = 4) -> str:
+def labels_in_short(labels: Sequence[str]) -> str:
     """Returns a list of labels in short form: `P6, T3`, or `P6, P7, P8 and 5 more`."""
     distinct = list(dict.fromkeys(labels))
-    if len(distinct) <= most:
+    if len(distinct) <= MOST_LABELS:
         return ", ".join(distinct)
-    return f"{', '.join(distinct[: most - 1])} and {len(distinct) - most + 1} more"
+    return f"{', '.join(distinct[: MOST_LABELS - 1])} and {len(distinct) - MOST_LABELS + 1} more"
 
 
 def timeline_table(schedule: Schedule, brief: bool = False) -> Table:

@@ -49,12 +49,12 @@ class MountedAxes:
         about_x, about_y = self.tilt
         return np.column_stack([x + about_y * z, y - about_x * z, z + about_x * y - about_y * x])
 
-    def require_azimuths(self, why: str) -> None:
-        """Raises `EstimationError` if an azimuth is not stated. `why`: the end of the error message, which follows the word
-        "which"."""
+    def require_azimuths(self) -> None:
+        """Raises `EstimationError` if an azimuth that `earth_rate: corrected` needs is not stated."""
         for name, azimuth in zip(self.names, self.azimuths, strict=True):
             if math.isnan(azimuth):
-                raise EstimationError(f"mounting.{name} states no azimuth, which {why}")
+                needs = "`earth_rate: corrected` needs; or write `earth_rate: averaged`"
+                raise EstimationError(f"mounting.{name} states no azimuth, which {needs}")
 
 
 def mounted_axes(mounting: Mapping[str, MountedAxis], available: Sequence[str], chosen: Sequence[str]) -> MountedAxes:

@@ -130,7 +130,7 @@ def _earth_remarks(request: DesignRequest[ScaleFactorTiltedParameters], axes: Mo
         )
     parts = part_turns(planned, [segment.dwell for segment in planned], [0.0] * len(planned))
     if how == "corrected":
-        axes.require_azimuths("`earth_rate: corrected` needs; or write `earth_rate: averaged`")
+        axes.require_azimuths()
         unknown = next((segment.label for segment in planned if segment.attitude is None), None)
         if unknown is not None:
             raise EstimationError(

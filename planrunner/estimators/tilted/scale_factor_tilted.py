@@ -334,7 +334,7 @@ def _conditions(
     commanded = np.array([segment.rate for segment in planned])
     how = request.parameters.earth_rate
     if how == "corrected":
-        axes.require_azimuths("`earth_rate: corrected` needs; or write `earth_rate: averaged`")
+        axes.require_azimuths()
         begun = as_recording_begins(planned, request.site, request.setup.table)
         return TiltedConditions(axes, commanded, along, mean_rates(begun, request.site, seconds)), begun
     if how == "averaged":

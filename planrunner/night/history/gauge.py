@@ -27,6 +27,8 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import JsonObject
 
 CONFIDENCE = 0.95
+ITEM = "device"
+"""The factor that distinguishes the measured items."""
 
 
 class UnbalancedError(ValueError):
@@ -102,12 +104,10 @@ class GaugeStudy:
         }
 
 
-def gauge_study(
-    factors: Mapping[str, Sequence[str]], values: Sequence[float], item: str = "device", *, pooled: bool = False
-) -> GaugeStudy:
+def gauge_study(factors: Mapping[str, Sequence[str]], values: Sequence[float], *, pooled: bool = False) -> GaugeStudy:
     """Makes the gauge study of n values.
 
-    `factors`: maps each factor to the labels of the n values; a factor with only one level is left out. `item`: the factor that
+    `factors`: maps each factor to the labels of the n values; a factor with only one level is left out. The factor `ITEM`
     distinguishes the measured items. If a cell has more values than others, only its first values are used. `pooled`: True if
     interactions are counted as repeatability. This is usual if they are not significant. Raises `UnbalancedError` if a cell has no
     value.
@@ -135,7 +135,7 @@ def gauge_study(
         anova = _pooled(anova)
     return GaugeStudy(
         tuple(anova),
-        tuple(_components(anova, dict(zip(levels, shape, strict=True)), r, item)),
+        tuple(_components(anova, dict(zip(levels, shape, strict=True)), r)),
         dict(zip(levels, shape, strict=True)),
         r,
         unused,
@@ -167,7 +167,7 @@ def _pooled(anova: Sequence[MeanSquare]) -> list[MeanSquare]:
     return [*(one for one in anova if len(one.factors) == 1), error]
 
 
-def _components(anova: Sequence[MeanSquare], levels: Mapping[str, int], r: int, item: str) -> list[VarianceComponent]:
+def _components(anova: Sequence[MeanSquare], levels: Mapping[str, int], r: int) -> list[VarianceComponent]:
     """Returns the components of variance. Each component is a linear combination of mean squares; the equations are solved from the
     highest interaction downwards."""
     squares = {one.factors: one for one in anova}
@@ -183,7 +183,7 @@ def _components(anova: Sequence[MeanSquare], levels: Mapping[str, int], r: int, 
     found = [_estimated("repeatability", combos[()], squares)]
     found += [_estimated(" × ".join(one.factors), combos[one.factors], squares) for one in anova if one.factors]
     own = {(): found[0].variance, **{one.factors: part.variance for one, part in zip(anova, found[1:], strict=False)}}
-    gauge = [key for key in combos if key and key != (item,)]
+    gauge = [key for key in combos if key and key != (ITEM,)]
     for name, parts in (("reproducibility", gauge), ("gauge R&R", [(), *gauge]), ("total", list(combos))):
         if parts:
             made = _estimated(name, _sum([combos[part] for part in parts]), squares)
