@@ -124,10 +124,10 @@ def columns(stream: TextIO) -> int:
     return shutil.get_terminal_size((WIDE, 24)).columns if stream.isatty() else WIDE
 
 
-def print_findings(findings: Iterable[Finding]) -> None:
-    """Prints findings to stderr. The output is coloured if it goes to a terminal. Each finding is one
+def print_findings(findings: Iterable[Finding], file: TextIO | None = None) -> None:
+    """Prints findings to stderr, or to `file` if it is given. The output is coloured if it goes to a terminal. Each finding is one
     line, followed by its source line and a hint."""
-    out = beneath(sys.stderr)
+    out = beneath(file or sys.stderr)
     colour = out.isatty() and not os.environ.get("NO_COLOR")
     width = columns(out)
     for finding in findings:

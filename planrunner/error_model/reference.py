@@ -9,8 +9,7 @@ import sys
 from pathlib import Path
 
 from planrunner.base import plugins
-from planrunner.error_model.effects.about import Actor, about
-from planrunner.error_model.effects.interface import Effect, NoHypothesis, effect_named
+from planrunner.error_model.effects.interface import Actor, Effect, NoHypothesis, about, effect_named
 
 _BEGINNING = """\
 # Effects: who acts, and what to do

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from planrunner.base.documents import JsonObject
-from planrunner.error_model.effects.about import Actor, about
-from planrunner.error_model.effects.interface import Effect, HasShape
+from planrunner.error_model.effects.interface import Actor, Effect, HasShape, about
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.reporting.rounding import rounded
 from planrunner.reporting.words import behind_number

@@ -106,8 +106,7 @@ class Diagnosed:
 
 def _declaration(wrong: WrongDeclaration) -> JsonObject:
     """Returns a corrected declaration as JSON data according to `declarations` of `schemas/diagnosis.schema.json`."""
-    from planrunner.error_model.effects.about import about
-    from planrunner.error_model.effects.interface import effect_named
+    from planrunner.error_model.effects.interface import about, effect_named
 
     told = about(effect_named(wrong.effect))
     return {
@@ -377,8 +376,7 @@ def corrected_observation(
 
 def _warned(wrong: WrongDeclaration) -> tuple[str, str]:
     """Returns the message and the hint of the warning about a wrong declaration."""
-    from planrunner.error_model.effects.about import about
-    from planrunner.error_model.effects.interface import effect_named
+    from planrunner.error_model.effects.interface import about, effect_named
 
     told = about(effect_named(wrong.effect))
     also = f" (or {wrong.alternative})" if wrong.alternative else ""

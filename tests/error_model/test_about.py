@@ -8,9 +8,8 @@ from string import Formatter
 import pytest
 
 from planrunner.base import plugins
-from planrunner.error_model.effects.about import Actor, TellsAbout, about
 from planrunner.error_model.effects.gyro_output import GyroBandwidth
-from planrunner.error_model.effects.interface import Variant
+from planrunner.error_model.effects.interface import Actor, TellsAbout, Variant, about
 from planrunner.error_model.observed import Observed
 from planrunner.error_model.reference import reference
 

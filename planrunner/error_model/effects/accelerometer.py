@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Variant, per_axis, products, single
+from planrunner.error_model.effects.interface import About, Actor, Variant, per_axis, products, single
 from planrunner.error_model.effects.nominal import towards_others
 from planrunner.error_model.observed import Observed
 from planrunner.plan.units import STANDARD_GRAVITY as G

@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Column, Variant, on_stimulus, single, whole
+from planrunner.error_model.effects.interface import About, Actor, Column, Variant, on_stimulus, single, whole
 from planrunner.error_model.effects.table import secant
 from planrunner.error_model.observed import Observed
 from planrunner.plan.schedule import Spin

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Variant
+from planrunner.error_model.effects.interface import About, Actor, Variant
 from planrunner.error_model.observed import Observed
 
 

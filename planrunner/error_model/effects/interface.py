@@ -10,7 +10,7 @@ without a shape. An effect with a shape is fitted only if it lasts longer than a
         id = "my_effect"                      # the entry point's name
         stage = "sensor"                      # stimulus, sensor, output, acquisition, covariance
         shown_by = "two temperatures"         # which segments determine it, for the messages of an estimate
-        about = About(…)                      # plain name, physics, who acts and what to do: see `about.py`
+        about = About(…)                      # plain name, physics, who acts and what to do
         def variants(self, observed) -> list[Variant]
 
 A variant is the effect at one value of its shape (a time constant, a limit). The change of the output is linear in the amplitudes
@@ -25,9 +25,10 @@ others, so an effect becomes a hypothesis only after blind trials.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from string import Formatter
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
@@ -91,6 +92,63 @@ class Effect(Protocol):
     def variants(self, observed: Observed) -> list[Variant]:
         """Returns the variants of the effect for this recording; empty if the effect cannot act, for example because the channel is
         missing or nothing rotates."""
+
+
+class Actor(StrEnum):
+    """States what must be changed to remove the cause of an effect. BENCH: at the table, the chamber, the mounting or their
+    synchronisation. SENSOR: in the unit under test or its compensation. PLAN: in the states and times of the plan. SITE: in the declared
+    place on the Earth. BOOKKEEPING: in the declarations of labels, units, signs and noise in files."""
+
+    BENCH = "bench"
+    SENSOR = "sensor"
+    PLAN = "plan"
+    SITE = "site"
+    BOOKKEEPING = "bookkeeping"
+
+
+@dataclass(frozen=True, slots=True)
+class About:
+    """Describes an effect for an engineer.
+
+    `name`: the effect in plain words. `physics`: the cause, in one sentence. `remedy`: what to do; in this text, `{found}` is
+    replaced by the fitted parameters. `figures`: a function that computes further values for the remedy, such as a bandwidth from a
+    time constant. The function takes the fitted shape in `shape_unit` and returns a mapping of names to texts.
+    """
+
+    name: str
+    physics: str
+    actor: Actor
+    remedy: str
+    figures: Callable[[float], Mapping[str, str]] | None = None
+
+    def advice(self, found: str, shape: float | None) -> str:
+        """Returns the remedy, with the fitted parameters inserted as text."""
+        values = {} if self.figures is None or shape is None else dict(self.figures(shape))
+        wanted = {field for _, field, _, _ in Formatter().parse(self.remedy) if field}
+        return self.remedy.format(**dict.fromkeys(wanted, "unknown") | values | {"found": found})
+
+
+@runtime_checkable
+class TellsAbout(Effect, Protocol):
+    """An effect with an attribute `about`, which gives its plain name and its remedy."""
+
+    about: About
+
+
+_BY_STAGE = {"stimulus": Actor.BENCH, "acquisition": Actor.BENCH}
+
+
+def about(effect: Effect) -> About:
+    """Returns the description of an effect. If a plug-in has no `about`, the description consists of the identifier of the effect,
+    the first paragraph of its docstring, and the usual actor for its stage."""
+    if isinstance(effect, TellsAbout):
+        return effect.about
+    physics = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
+    actor = _BY_STAGE.get(effect.stage, Actor.SENSOR)
+    return About(effect.id.replace("_", " "), physics or "The plug-in describes no physics.", actor, _DEFAULT)
+
+
+_DEFAULT = "Remove the cause, or compensate the effect: {found}."
 
 
 @runtime_checkable

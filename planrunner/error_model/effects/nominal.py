@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Column, Variant, on_stimulus, per_axis, single, whole
+from planrunner.error_model.effects.interface import About, Actor, Column, Variant, on_stimulus, per_axis, single, whole
 from planrunner.error_model.observed import Observed
 from planrunner.plan.units import STANDARD_GRAVITY as G
 

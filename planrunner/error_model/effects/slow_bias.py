@@ -3,8 +3,7 @@ random walk of the gyros' bias is in `gyro_output`."""
 
 from __future__ import annotations
 
-from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Variant
+from planrunner.error_model.effects.interface import About, Actor, Variant
 from planrunner.error_model.observed import Observed
 
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Column, Shaped, Variant, on_rate, per_axis
+from planrunner.error_model.effects.interface import About, Actor, Column, Shaped, Variant, on_rate, per_axis
 from planrunner.error_model.observed import Observed
 from planrunner.plan.units import STANDARD_GRAVITY as G
 

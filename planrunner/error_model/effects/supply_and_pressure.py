@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Follows, Variant, per_axis, single
+from planrunner.error_model.effects.interface import About, Actor, Follows, Variant, per_axis, single
 from planrunner.error_model.observed import Observed
 from planrunner.plan.units import STANDARD_GRAVITY as G
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.about import About, Actor
 from planrunner.error_model.effects.interface import (
+    About,
+    Actor,
     Column,
     Shaped,
     Variant,

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.about import About, Actor
-from planrunner.error_model.effects.interface import Shaped, Variant, per_axis
+from planrunner.error_model.effects.interface import About, Actor, Shaped, Variant, per_axis
 from planrunner.error_model.observed import Observed, TemperatureCourse
 from planrunner.plan.units import STANDARD_GRAVITY as G
 
