@@ -107,11 +107,10 @@ def expected_dispersions(weighing: Weighing, effect: Weighed, setting: int) -> l
     fit, means = DenseFit(weighing, effect, setting), weighing.spectrum.means
     found = []
     for left, covariance, lost in zip(fit.rests, fit.covariances, fit.lost, strict=True):
-        of_means = left[means] @ np.linalg.solve(covariance[np.ix_(means, means)], left[means])
-        sums = (
-            (float(left @ np.linalg.solve(covariance, left)), len(left) - lost),
-            (float(of_means), len(means) - lost),
-        )
+        whole = float(left @ np.linalg.solve(covariance, left))
+        others = np.delete(np.arange(len(left)), means)
+        of_others = left[others] @ np.linalg.solve(covariance[np.ix_(others, others)], left[others])
+        sums = ((whole, len(left) - lost), (whole - float(of_others), len(means) - lost))
         found.append(max([1.0, *(s / n for s, n in sums if 12 * chi2.sf(s, n) < 0.001)]))
     return found
 

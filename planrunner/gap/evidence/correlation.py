@@ -51,6 +51,20 @@ class Blocks:
         """Returns the blocks multiplied by a number."""
         return Blocks(self.size, self.matrix * value)
 
+    def scaled(self, factors: Array) -> Blocks:
+        """Returns the covariances after the coefficients have been multiplied by factors (M,)."""
+        made = Blocks(self.size, self.matrix.copy())
+        for index, own in enumerate(np.split(factors, np.cumsum(self.size)[:-1])):
+            made.of_segment(index)[:] *= np.outer(own, own)
+        return made
+
+    def joined(self, other: Blocks) -> Blocks:
+        """Returns the sum of the covariances of two independent processes with the same coefficients."""
+        made = Blocks(self.size, self.matrix.copy())
+        for index in range(len(self.size)):
+            made.of_segment(index)[:] += other.of_segment(index)
+        return made
+
     def plus(self, variances: Array) -> Blocks:
         """Returns the blocks after variances (M,) have been added to the diagonal."""
         made, first = Blocks(self.size, self.matrix.copy()), 0

@@ -1,8 +1,10 @@
-"""Describes slow noise by the exact covariances of its means over segments, and by its spectra. The spectra describe what remains
-of the noise within a segment.
+"""Describes slow noise: flicker by the exact covariances of its means over segments, and by its spectrum within the segments; a
+random walk by the exact covariances of all coefficients.
 
 Flicker is represented by a sum of Ornstein–Uhlenbeck processes whose correlation times are two octaves apart (Keshner, "1/f noise",
-Proc. IEEE 70, 1982); a random walk has the covariance q²·min(t, t'). Both are averaged over the segments in closed form.
+Proc. IEEE 70, 1982); a random walk has the covariance q²·min(t, t'). Both are averaged over the segments in closed form. What a
+random walk does within a segment continues in the means of all later segments. Therefore its coefficients within a segment are not
+independent of these means.
 """
 
 from __future__ import annotations
@@ -13,6 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from planrunner.base.arrays import Array
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.correlation import Blocks
+from planrunner.gap.evidence.spectrum import Spectrum
 
 OCTAVES = 2.0 ** np.arange(0, 15, 2)  # s, correlation times: from a second to hours, two octaves apart
 
@@ -63,24 +68,66 @@ def random_walk(starts: Array, ends: Array) -> Array:
     return covariance
 
 
+def random_walk_within(vectors: Array, step: float) -> tuple[Array, Array, Array]:
+    """Computes the covariances that a random walk with unit density causes for the coefficients of one segment.
+
+    `vectors`: array of shape (n, m), orthonormal vectors, of which the first is constant. `step`: time between two of the n
+    samples, each of which is a mean over this time, in s. Returns the covariance (m, m) of the coefficients, their covariance (m,)
+    with the mean of the segment, and their covariance (m,) with the mean of any later segment. All values of the constant vector
+    are zero, because it belongs to the means.
+
+    Two samples a ≤ b of the segment have the covariance step·(a + ½) if a < b, and step·(a + ⅓) if a = b, plus the time before the
+    segment. This time cancels in all vectors except the constant one.
+    """
+    count = len(vectors)
+    later = np.cumsum(vectors[::-1], axis=0)[::-1]
+    covariance = step * (later.T @ later - vectors.T @ vectors / 6)
+    own = step * (later.T @ np.arange(count, 0, -1)) / count
+    afterwards = step * (vectors.T @ (np.arange(count) + 0.5))
+    covariance[0] = covariance[:, 0] = own[0] = afterwards[0] = 0.0
+    return covariance, own, afterwards
+
+
 @dataclass(frozen=True)
-class SlowMeans:
-    """Contains two covariances (S, S) of the segment means: one for flicker with B = 1, and one for a random walk with unit
-    density."""
+class SlowNoise:
+    """Contains the covariances of slow noise: of flicker with B = 1, and of a random walk with unit density.
+
+    `flicker`, `random_walk`: arrays of shape (S, S), covariances of the segment means. `walk_within`: covariances of the
+    coefficients of a random walk within each segment, samples; zero for the means. `walk_across`: array of shape (S, M),
+    covariances of the segment means with the coefficients, √samples; zero for the means.
+    """
 
     flicker: Array
     random_walk: Array
+    walk_within: Blocks
+    walk_across: Array
 
     @classmethod
-    def of(cls, starts: Array, ends: Array) -> SlowMeans:
-        return cls(flicker(starts, ends), random_walk(starts, ends))
+    def of(cls, observed: Observed, spectrum: Spectrum) -> SlowNoise:
+        starts, ends = lasting(observed)
+        size = [len(basis.frequency) for basis in spectrum.bases]
+        within, across = Blocks.diagonal(size, np.zeros(len(size))), np.zeros((len(size), sum(size)))
+        known: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
+        for index, basis in enumerate(spectrum.bases):
+            bins = int(observed.bin_size[index])
+            key = id(basis), bins
+            if key not in known:
+                known[key] = random_walk_within(basis.vectors, bins / observed.sample_rate)
+            covariance, own, afterwards = known[key]
+            within.of_segment(index)[:] = bins * covariance
+            columns = spectrum.means[index] + np.arange(size[index])
+            across[index, columns] = np.sqrt(bins) * own
+            across[index + 1 :, columns] = np.sqrt(bins) * afterwards
+        return cls(flicker(starts, ends), random_walk(starts, ends), within, across)
+
+
+def lasting(observed: Observed) -> tuple[Array, Array]:
+    """Returns the start and end times [s] of the segments, each of shape (S,)."""
+    size, twice = observed.bin_size, 2 * observed.sample_rate
+    last = observed.time[observed.bounds[1:] - 1] + (size + 1) / twice
+    return observed.time[observed.bounds[:-1]] - (size - 1) / twice, last
 
 
 def flicker_spectrum(frequency: Array) -> Array:
     """Returns the one-sided spectral density [1/Hz] of the noise of `flicker` at frequencies [Hz] above zero."""
     return np.asarray(1 / (math.pi * frequency))
-
-
-def random_walk_spectrum(frequency: Array) -> Array:
-    """Returns the one-sided spectral density of the noise of `random_walk` at frequencies [Hz] above zero."""
-    return np.asarray(2 / (2 * np.pi * frequency) ** 2)

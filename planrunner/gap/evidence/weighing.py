@@ -1,7 +1,8 @@
 """Whitens coefficients with the noise, projects the nominal parameters out of them, and evaluates designs on the result.
 
 A setting of the noise consists of a level of flicker and a level of random walk for each triad. At every setting, the coefficients
-of each channel are whitened: those of order 0 jointly over the segments, the others one by one. Then the nominal parameters, which
+of each channel are whitened: first those above order 0, segment by segment; then those of order 0, jointly over the segments, after
+the part that the other coefficients predict has been subtracted. Only a random walk makes this part different from zero. Then the nominal parameters, which
 have a flat prior, are projected out. The likelihood of the residuals is the residual likelihood (REML: Patterson and Thompson,
 Biometrika 58, 1971).
 
@@ -59,9 +60,9 @@ class Setting:
     alike: bool = True
 
 
-def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, kind: str) -> tuple[Setting, ...]:
+def settings_of(observed: Observed, slow: slow_noise.SlowNoise, means: Array, kind: str) -> tuple[Setting, ...]:
     """Lists the settings of a triad. Random walks are included only for gyros; different factors of the flicker level are included
-    only if flicker is declared."""
+    only if flicker is declared. `means`: array of shape (S, K) in SI², variances of the segment means without slow noise."""
     members = observed.of_kind(kind)
     if not members:
         return (Setting(0.0, 0.0, 1.0),)
@@ -71,7 +72,7 @@ def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, ki
         factors, priors = FLICKER_FACTORS, FLICKER_PRIOR
     walks = [0.0]
     if kind == "gyro" and len(observed) > 2:
-        walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, slow, c, float(white[c])) for c in members)))
+        walks += list(np.sqrt(WALKS / sum(_walk_energy(observed, slow, c, means[:, c]) for c in members)))
     step = float(np.log(WALKS[1] / WALKS[0])) / RANGE
     return tuple(
         Setting(factor, float(walk), prior * (1.0 if walk == 0 else step / 2), alike)
@@ -82,21 +83,15 @@ def settings_of(observed: Observed, slow: slow_noise.SlowMeans, white: Array, ki
     )
 
 
-def _walk_energy(observed: Observed, slow: slow_noise.SlowMeans, channel: int, white: float) -> float:
+def _walk_energy(observed: Observed, slow: slow_noise.SlowNoise, channel: int, means: Array) -> float:
     """Returns the expected energy of a random walk with unit density in the segment means of one channel, after a constant has been
-    removed. The energy is in units of the noise, which is white noise and the declared flicker."""
-    noise = np.diag(white**2 / observed.counts) + observed.channels[channel].flicker ** 2 * slow.flicker
+    removed. The energy is in units of the noise of the means, which consists of the variances `means` (S,) and the declared
+    flicker."""
+    noise = np.diag(means) + observed.channels[channel].flicker ** 2 * slow.flicker
     inverse = np.linalg.inv(np.linalg.cholesky(noise))
     walk = inverse @ slow.random_walk @ inverse.T
     constant = inverse.sum(1)
     return float(np.trace(walk) - constant @ walk @ constant / (constant @ constant))
-
-
-def lasting(observed: Observed) -> tuple[Array, Array]:
-    """Returns the start and end times [s] of the segments, each of shape (S,)."""
-    size, twice = observed.bin_size, 2 * observed.sample_rate
-    last = observed.time[observed.bounds[1:] - 1] + (size + 1) / twice
-    return observed.time[observed.bounds[:-1]] - (size - 1) / twice, last
 
 
 def _sharing(readings: Array, count: float) -> Array:
@@ -146,7 +141,7 @@ class ChannelWeights:
     def __init__(
         self,
         observed: Observed,
-        slow: slow_noise.SlowMeans,
+        slow: slow_noise.SlowNoise,
         spectrum: Spectrum,
         channel: int,
         white: float,
@@ -159,40 +154,49 @@ class ChannelWeights:
     ):
         declared = observed.channels[channel]
         counts = observed.counts.astype(float)
-        fast = white**2 * relative.variances
-        covariance = np.diag(fast[spectrum.means] / counts)
+        within = relative.times(white**2)
+        covariance = np.diag(within.variances[spectrum.means] / counts)
         if undithered > 0:
             covariance += np.diag(undithered * _sharing(spectrum.readings[:, channel], declared.resolution))
         level = flicker * declared.flicker
         tail = undithered * counts[spectrum.segment] / 4
-        half = observed.sample_rate / 2
-        for size, means, density in (
-            (level, slow.flicker, slow_noise.flicker_spectrum),
-            (walk, slow.random_walk, slow_noise.random_walk_spectrum),
-        ):
-            if size > 0:
-                covariance += size**2 * means
-                tail += size**2 * half * _beyond_measured(density, spectrum, noise, channel)
+        measured = noise.coloured[noise.moving[spectrum.segment], channel]
+        if level > 0:
+            covariance += level**2 * slow.flicker
+            tail += level**2 * observed.sample_rate / 2 * _beyond_measured(spectrum, noise.lowest, measured)
+        across: Array | None = None
+        if walk > 0:
+            walking = slow.walk_within.times(walk**2)
+            within = _besides(walking, within, measured).joined(walking)
+            covariance += walk**2 * slow.random_walk
+            across = walk**2 * slow.walk_across
+        within = within.plus(tail)
         self.walk = walk
         self._covariance = covariance
         self._segment = spectrum.segment
         self._means = spectrum.means
         self._order_0 = spectrum.frequency == 0
         self._root = np.sqrt(counts)
-        self.scale = 1 / np.sqrt(fast + tail)
+        self.scale = 1 / np.sqrt(within.variances)
+        self._across = across
+        self._predicted: Array | None = None
         self._inverse: Array | None = None
         if level == 0 and walk == 0:
             self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
-        self._within = relative.times(white**2).plus(tail) if relative.correlated else None
+        self._within = within if within.correlated else None
         self._correlation = None if self._within is None else Correlation(self._within)
         self._fit(nominal, spectrum.values[:, channel], jointly=level > 0 or walk > 0)
 
     def _fit(self, nominal: Array, values: Array, jointly: bool) -> None:
         """Projects the nominal columns (M, q) out of the coefficients (M,). `jointly`: True if the means are whitened jointly."""
         if jointly:
-            factor = np.linalg.cholesky(self._covariance)
-            self._inverse = np.asarray(np.linalg.inv(factor))
             self.scale[self._means] = 1.0
+            covariance = self._covariance
+            if self._across is not None:
+                self._predicted = self._within_segments(self._across.T).T
+                covariance = covariance - self._predicted @ self._predicted.T
+            factor = np.linalg.cholesky(covariance)
+            self._inverse = np.asarray(np.linalg.inv(factor))
             self.log_det = 2 * float(np.log(np.diag(factor)).sum())
         else:
             self.log_det = -2 * float(np.log(self._root).sum())
@@ -208,7 +212,7 @@ class ChannelWeights:
 
     def towards(self, other: ChannelWeights, share: float, nominal: Array, values: Array) -> ChannelWeights:
         """Returns the weights for the covariance C + share·(C′ − C). C is the covariance of these weights; C′ is the covariance of
-        `other`, which must contain slow noise. `share` may be negative or above 1, as long as the result is a covariance. The
+        `other`, which must contain flicker. Neither may contain a random walk. `share` may be negative or above 1, as long as the result is a covariance. The
         covariance is linear in the square of the flicker level, so this method gives the weights for any level of flicker.
         `nominal`: array of shape (M, q), nominal columns. `values`: array of shape (M,) in SI units, coefficients of the
         channel."""
@@ -243,6 +247,8 @@ class ChannelWeights:
         made._covariance = self._covariance * ratio
         made.scale = self.scale / root
         made._inverse = None if self._inverse is None else self._inverse / root
+        made._across = None if self._across is None else self._across * ratio
+        made._predicted = None if self._predicted is None else self._predicted * root
         made.residual = self.residual / root
         squares = float(self.residual @ self.residual)
         made.log_likelihood = self.log_likelihood + 0.5 * (1 - 1 / ratio) * squares
@@ -259,35 +265,56 @@ class ChannelWeights:
         out[np.ix_(at, at)] = self._covariance[np.ix_(owners, owners)] * np.outer(
             self._root[owners], self._root[owners]
         )
+        if self._across is not None:
+            across = self._across[np.ix_(owners, chosen)] * self._root[owners, None]
+            out[at] += across
+            out[:, at] += across.T
         return out
 
     def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
-        """Returns a function that whitens coefficients (n,) or (n, P) of the rows that a mask (M,) selects: the means jointly, the
-        others one by one."""
+        """Returns a function that whitens coefficients (n,) or (n, P) of the rows that a mask (M,) selects, in the same way as
+        `whiten` does."""
         chosen = np.flatnonzero(rows)
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self._segment[chosen[at]]
-        inverse = np.linalg.inv(np.linalg.cholesky(self._covariance[np.ix_(owners, owners)])) / self._root[owners]
+        root = self._root[owners]
         scale = self.scale[chosen]
         among = None if self._correlation is None else self._correlation.among(rows)
 
-        def whiten(columns: Array) -> Array:
+        def within_segments(columns: Array) -> Array:
             out = (columns.T * scale).T
             if among is not None:
                 full = np.zeros((len(rows), *columns.shape[1:]))
                 full[chosen] = out
                 out = among.apart(full)[chosen]
-            out[at] = inverse @ columns[at]
+            return out
+
+        covariance, predicted = self._covariance[np.ix_(owners, owners)], None
+        if self._across is not None:
+            predicted = within_segments(self._across[np.ix_(owners, chosen)].T).T
+            covariance = covariance - predicted @ predicted.T
+        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
+
+        def whiten(columns: Array) -> Array:
+            out = within_segments(columns)
+            means = (columns[at].T / root).T
+            out[at] = inverse @ (means if predicted is None else means - predicted @ out)
             return out
 
         return whiten
 
-    def whiten(self, columns: Array) -> Array:
+    def _within_segments(self, columns: Array) -> Array:
+        """Whitens the coefficients (M, P) above order 0, segment by segment."""
         out = columns * self.scale[:, None]
-        if self._correlation is not None:
-            out = self._correlation.apart(out)
+        return out if self._correlation is None else self._correlation.apart(out)
+
+    def whiten(self, columns: Array) -> Array:
+        out = self._within_segments(columns)
         if self._inverse is not None:
-            out[self._means] = self._inverse @ (columns[self._means] / self._root[:, None])
+            means = columns[self._means] / self._root[:, None]
+            if self._predicted is not None:
+                means -= self._predicted @ out
+            out[self._means] = self._inverse @ means
         return out
 
     def unwhiten(self, whitened: Array) -> Array:
@@ -295,7 +322,10 @@ class ChannelWeights:
         joined = whitened if self._correlation is None else self._correlation.joined(whitened)
         out = joined / self.scale[:, None]
         if self._inverse is not None:
-            out[self._means] = np.linalg.solve(self._inverse, whitened[self._means]) * self._root[:, None]
+            means = np.linalg.solve(self._inverse, whitened[self._means])
+            if self._predicted is not None:
+                means += self._predicted @ whitened
+            out[self._means] = means * self._root[:, None]
         return out
 
     def gap_and_noise(self) -> tuple[float, float]:
@@ -329,15 +359,22 @@ class ChannelWeights:
         return whitened - self.basis @ (self.basis.T @ whitened)
 
 
-def _beyond_measured(density: Callable[[Array], Array], spectrum: Spectrum, noise: NoiseWithin, channel: int) -> Array:
-    """Returns the density of slow noise that must be added at the frequency of each coefficient, shape (M,); 0 for means. A
-    measured coloured spectrum already contains the slow noise; in this case, only the increase below the lowest measured frequency
-    is added."""
+def _beyond_measured(spectrum: Spectrum, lowest: float, measured: NDArray[np.bool_]) -> Array:
+    """Returns the density of unit flicker that must be added at the frequency of each coefficient, shape (M,); 0 for means. A
+    measured coloured spectrum already contains the flicker; in this case, only the increase below the lowest measured frequency
+    [Hz] is added. `measured`: array of shape (M,), True for the coefficients whose spectrum is measured."""
     out = np.zeros(len(spectrum.frequency))
     within = spectrum.frequency > 0
-    out[within] = density(spectrum.frequency[within])
-    measured = noise.coloured[noise.moving[spectrum.segment], channel]
-    return np.where(measured, np.maximum(out - density(np.array([noise.lowest])), 0.0), out)
+    out[within] = slow_noise.flicker_spectrum(spectrum.frequency[within])
+    return np.where(measured, np.maximum(out - slow_noise.flicker_spectrum(np.array([lowest])), 0.0), out)
+
+
+def _besides(walking: Blocks, within: Blocks, measured: NDArray[np.bool_]) -> Blocks:
+    """Returns the covariances `within` of the coefficients without the part that a random walk with the covariances `walking`
+    causes. A measured coloured spectrum already contains the random walk, so its variance is subtracted as far as possible.
+    `measured`: array of shape (M,), True for the coefficients whose spectrum is measured."""
+    share = np.where(measured, walking.variances / within.variances, 0.0)
+    return within.scaled(np.sqrt(np.maximum(1 - share, 0.0)))
 
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:

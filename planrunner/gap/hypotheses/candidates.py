@@ -27,14 +27,13 @@ from planrunner.gap.evidence.noise_levels import counts
 from planrunner.gap.evidence.noise_within import noise_within
 from planrunner.gap.evidence.outliers import outliers
 from planrunner.gap.evidence.rounding import is_coarse, undithered
-from planrunner.gap.evidence.slow_noise import SlowMeans
+from planrunner.gap.evidence.slow_noise import SlowNoise
 from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.evidence.weighing import (
     ChannelWeights,
     Setting,
     coefficients_of,
     independent,
-    lasting,
     settings_of,
     walking_alike,
 )
@@ -206,13 +205,17 @@ class Weighing:
         self.outliers = outliers(observed, self.spectrum, self.noise, self.white, self.coarse)
         if self.outliers is not None:
             self._measure(reference + self.outliers, held)
-        slow = SlowMeans.of(*lasting(observed))
+        phase = of_unknown_phase(observed, self.spectrum) / self.white**2
+        relative = [
+            blocks.plus(own)
+            for blocks, own in zip(self.noise.of_coefficients(observed, self.spectrum), phase.T, strict=True)
+        ]
+        fast = np.column_stack([own.variances[self.spectrum.means] for own in relative]) * self.white**2
+        slow, means = SlowNoise.of(observed, self.spectrum), fast / observed.counts[:, None]
         self.settings: dict[str, tuple[Setting, ...]] = {
-            kind: settings_of(observed, slow, self.white, kind) for kind in ("gyro", "accel")
+            kind: settings_of(observed, slow, means, kind) for kind in ("gyro", "accel")
         }
         self.observed = self.seen()
-        relative = self.noise.of_coefficients(observed, self.spectrum)
-        phase = of_unknown_phase(observed, self.spectrum) / self.white**2
         rounding = undithered(observed, self.white, self.coarse)
         self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
@@ -228,7 +231,7 @@ class Weighing:
                     *level,
                     fitted,
                     self.noise,
-                    relative[index].plus(phase[:, index]),
+                    relative[index],
                     float(rounding[index]),
                 )
                 for level in dict.fromkeys((setting.flicker, setting.walk) for setting in settings)

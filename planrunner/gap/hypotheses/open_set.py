@@ -106,8 +106,9 @@ def something_else(weighing: Weighing) -> float:
 
 def unknown(kinds: Kinds) -> Array:
     """Returns the log Bayes factor of "something else", shape (G,): the mean over single patterns and over combinations of
-    patterns."""
-    return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several]), 0)
+    patterns. A periodic bias spans several sorts of coefficients; it is combined with the patterns outside the coefficients."""
+    periodic = kinds.log_bayes[PERIODIC] + _maybe(kinds.outside)
+    return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several, periodic]), 0)
 
 
 def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
