@@ -200,3 +200,27 @@ def test_lines_of_the_noise_are_no_cause_and_are_reported(noise: Noise) -> None:
     assert found.verdict.kind == "none"
     assert found.posterior.kinds[TONE] <= 0
     assert next(one for one in found.noise if one.channel == "gyro_y").line is not None
+
+
+def of_an_angle(observed: Observed, draw: np.random.Generator) -> Array:
+    """The noise of an angle that is read as a rate, with little noise of the rate itself. The noise of a mean is a hundredth of what white
+    noise of the same size would cause."""
+    angle = draw.standard_normal((len(observed.time) + 1, 6))
+    return np.asarray(np.diff(angle, axis=0) + 0.01 * draw.standard_normal(observed.values.shape))
+
+
+def walking(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+    """A random walk of every gyro, which reaches 1/400 or 1/200 of the noise of a sample in 60 s."""
+    steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]) / 60)
+    walk = np.cumsum(steps[:, None] * draw.standard_normal((len(steps), 3)), axis=0)
+    return walk * np.array([0.0025, 0.005, 0.0025]) * SAMPLE[0], 0.0
+
+
+def test_a_random_walk_is_found_far_below_the_noise_of_a_sample() -> None:
+    """A smooth or periodic course in time, outside the catalogue, describes such a walk nearly as well as the walk itself does."""
+    right = [
+        diagnose(noisy(of_an_angle, walking, seed)).posterior.probability["gyro_bias_random_walk"]
+        for seed in range(1, 5)
+    ]
+    assert np.mean(right) > 0.5
+    assert min(right) > 0.05

@@ -2,9 +2,9 @@
 
 A setting of the noise consists of a level of flicker and a level of random walk for each triad. At every setting, the coefficients
 of each channel are whitened: first those above order 0, segment by segment; then those of order 0, jointly over the segments, after
-the part that the other coefficients predict has been subtracted. Only a random walk makes this part different from zero. Then the nominal parameters, which
-have a flat prior, are projected out. The likelihood of the residuals is the residual likelihood (REML: Patterson and Thompson,
-Biometrika 58, 1971).
+the part that the other coefficients predict has been subtracted. Only a random walk makes this part different from zero. Then the
+nominal parameters, which have a flat prior, are projected out. The likelihood of the residuals is the residual likelihood (REML:
+Patterson and Thompson, Biometrika 58, 1971).
 
 Some recordings cannot separate all nominal parameters, for example because gravity is never along an axis, because there is only
 one orientation, or because the orientations of the poses are unknown. The columns of these parameters are linearly dependent or
@@ -212,10 +212,10 @@ class ChannelWeights:
 
     def towards(self, other: ChannelWeights, share: float, nominal: Array, values: Array) -> ChannelWeights:
         """Returns the weights for the covariance C + share·(C′ − C). C is the covariance of these weights; C′ is the covariance of
-        `other`, which must contain flicker. Neither may contain a random walk. `share` may be negative or above 1, as long as the result is a covariance. The
-        covariance is linear in the square of the flicker level, so this method gives the weights for any level of flicker.
-        `nominal`: array of shape (M, q), nominal columns. `values`: array of shape (M,) in SI units, coefficients of the
-        channel."""
+        `other`, which must contain flicker. Neither may contain a random walk. `share` may be negative or above 1, as long as
+        the result is a covariance. The covariance is linear in the square of the flicker level, so this method gives the
+        weights for any level of flicker. `nominal`: array of shape (M, q), nominal columns. `values`: array of shape (M,) in
+        SI units, coefficients of the channel."""
         made = copy(self)
         made._covariance = self._covariance + share * (other._covariance - self._covariance)
         variance = 1 / self.scale**2
