@@ -297,7 +297,8 @@ def _with_something_else(
     for key, weighed in reversed(chain):
         if weighed.excluded or found[key] < IMPERFECT * found[UNKNOWN]:
             continue
-        besides = something_else(weighing.beside(weighed))
+        amplitudes, _ = weighed.amplitudes_at(weighing.likeliest[0])
+        besides = something_else(weighing.beside(weighed), [raw @ amplitudes for raw in weighed.raw])
         made[key] = found[key] + besides + log_prior(key_of([*key.split("+"), UNKNOWN]), count)
         if besides < WORTH:
             break

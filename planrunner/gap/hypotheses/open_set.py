@@ -20,7 +20,7 @@ from planrunner.gap.evidence.noise_levels import HOLDS
 from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen
 from planrunner.gap.hypotheses.bursts import BURSTS, bursts
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Rows, Sort, designs, factors, sorts
+from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Rows, Sort, designs, factors, sizes, sorts
 from planrunner.gap.hypotheses.repeating import PERIODIC, Repeating
 from planrunner.plan.schedule import Rest, Spin
 
@@ -93,13 +93,19 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
     return Kinds(found, several, alone, beside, beyond.lines)
 
 
-def something_else(weighing: Weighing) -> float:
+def something_else(weighing: Weighing, signatures: Sequence[Array] = ()) -> float:
     """Returns the log Bayes factor of the patterns of the coefficients, single and in combination, against no pattern. It is
     computed at the most probable setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the evidence
-    for something else in addition to these effects."""
+    for something else in addition to these effects. `signatures`: for each channel, the coefficients (M,) that these effects
+    cause."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
+    if signatures:
+        pattern, designs_ = sizes(weighing, signatures)
+        spectra = [eigen(left, own) for left, own in zip(channels, designs_, strict=True)]
+        if any(len(values) for values, _ in spectra):
+            each[pattern] = np.array(_by_scope(spectra, patterns.scopes))
     kinds = [float(log_mean_exp(value, 0)) for value in each.values()]
     return float(log_mean_exp(np.array([*kinds, _several(patterns, channels, each)]), 0))
 

@@ -18,7 +18,7 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.observation.surroundings import CHANGED
-from planrunner.plan.schedule import Rest, Rock, Spin
+from planrunner.plan.schedule import Motion, Rest, Rock, Spin
 
 Rows = NDArray[np.bool_]
 
@@ -73,6 +73,7 @@ WHOLE = {
 """For each sort of coefficients, the pattern that contains all coefficients of this sort."""
 CHANGING = Pattern("offset and transient while the temperature changes", Sort.SEVERAL, Factor.TEMPERATURE)
 """The pattern that acts both on the means and within the segments."""
+SIZES = Pattern("size of the effect by motion", Sort.SEVERAL, Factor.RATE)
 SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
 
@@ -235,6 +236,23 @@ def _upward(observed: Observed, segment: int) -> Hashable:
     still = isinstance(observed.motions[segment], Rest)
     north = observed.attitude[segment][:, 1] if still else np.zeros(3)
     return _coarse(observed.force[first] / observed.site.gravity) + _coarse(north)
+
+
+def sizes(weighing: Weighing, signatures: Sequence[Array]) -> PatternDesign:
+    """The size of an effect differs from motion to motion: between the rates of turning, and between the frequencies and amplitudes of
+    rocking. A cause outside the catalogue that resembles the effect usually changes in another way with the motion.
+
+    `signatures`: for each channel, the coefficients (M,) that the effect causes."""
+    motions = [_speed(motion) for motion in weighing.observed.motions]
+    here = _levels(motions)[weighing.spectrum.segment]
+    return SIZES, [own[:, None] * here for own in signatures]
+
+
+def _speed(motion: Motion) -> str:
+    """Returns a key for the rate of a turning motion, or for the frequency and amplitude of a rocking motion."""
+    if isinstance(motion, Spin):
+        return f"{abs(motion.rate):.6g}"
+    return f"{motion.frequency:.6g}, {motion.amplitude:.6g}" if isinstance(motion, Rock) else ""
 
 
 def _state(observed: Observed, segment: int, fast: bool = True) -> str:
