@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from planrunner.error_model.effects.gyro import GyroScaleAsymmetry
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.bursts import BURSTS
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import Kinds, competitors
+from planrunner.gap.hypotheses.open_set import Kinds, competitors, something_else
 from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Sort
 from planrunner.gap.hypotheses.repeating import PERIODIC
 from planrunner.plan.schedule import Spin
@@ -110,6 +111,34 @@ def test_a_saw_tooth_is_no_walk() -> None:
     found = diagnose(record(seed=45, fault=fault))
     assert found.verdict.kind == "unknown"
     assert found.posterior.kinds[PERIODIC] > found.posterior.log_evidence["gyro_bias_random_walk"] + 10
+
+
+def test_what_a_periodic_bias_shows_within_the_windows_counts_too() -> None:
+    """The jumps of large teeth also look like bursts. As bursts of another cause, they would count in favour of the effects alone."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return 0.02 * DEG * np.outer((observed.time / 48 + 0.2) % 1 - 0.5, [1.0, 0.6, 0.1]), 0.0
+
+    found = diagnose(record(seed=4, fault=fault)).posterior
+    both = found.kinds[PERIODIC] + found.kinds[BURSTS]
+    assert found.kinds[BURSTS] > 100
+    assert found.log_evidence["unknown"] > both - 10
+
+
+@pytest.mark.parametrize(("fast", "least", "most"), [(1.0, -np.inf, 0.5), (0.6, 10.0, np.inf)])
+def test_an_effect_has_the_same_size_in_every_motion(fast: float, least: float, most: float) -> None:
+    """An asymmetry that is smaller at the largest rate. Patterns that do not know the effect find less."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        size = np.where(np.abs(observed.rate) > 60 * DEG, fast, 1.0)
+        return 1e-3 * np.abs(omega) * size[:, None], 0.0
+
+    weighing = Weighing(record(seed=46, fault=fault))
+    (found,) = weighing.weigh(GyroScaleAsymmetry().variants(weighing.observed))
+    beside = weighing.beside(found)
+    amplitudes, _ = found.amplitudes
+    knowing = something_else(beside, [raw @ amplitudes for raw in found.raw])
+    assert least < knowing - something_else(beside) < most
 
 
 SORTS = [WHOLE[sort] for sort in (Sort.ROCKING, Sort.MEANS, Sort.TRANSIENT)]
