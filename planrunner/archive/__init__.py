@@ -1,1 +1,1 @@
-"""Writes and reads run folders. They are written atomically and sealed, and all later versions of planrunner can read them."""
+"""Writes and reads run folders. Run folders are written atomically and sealed. All later versions of planrunner can read them."""

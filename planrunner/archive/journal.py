@@ -1,4 +1,5 @@
-"""Writes and reads the journal of a run. It has one event per line, and each line contains the SHA-256 of the previous line.
+"""Writes and reads the journal of a run. The journal has one event per line, and each line contains the SHA-256 of the previous
+line.
 
 A line is acknowledged when `Journal.append` returns. In durable mode, it is on the disk at this time. A process that is killed
 during a write leaves an incomplete last line, which was never acknowledged; resuming the run removes it. If the chain is broken

@@ -184,8 +184,8 @@ def _short(text: str) -> str:
 
 
 def _number(value: float) -> float | None:
-    """Returns a number for display. It has ten significant digits, because a bias can be a millionth of the reading of a channel.
-    NaN and infinities become null."""
+    """Returns a number for display. The number has ten significant digits, because a bias can be a millionth of the reading of a
+    channel. NaN and infinities become null."""
     return float(f"{value:.10g}") if math.isfinite(value) else None
 
 

@@ -132,10 +132,10 @@ class Find:
 class RecordedSegment:
     """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block.
 
-    `expected`: True if the segment was not recorded. Its statistics are then predicted from the schedule: the scatter follows from
-    the declared noise, and the means contain no noise. `finds`: findings of the screening; None if the segment has not been
-    screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were recorded, so
-    that there are no samples to read.
+    `expected`: True if the segment was not recorded. The statistics of the segment are then predicted from the schedule: the
+    scatter follows from the declared noise, and the means contain no noise. `finds`: findings of the screening; None if the segment
+    has not been screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were
+    recorded, so that there are no samples to read.
     """
 
     segment: Segment
@@ -161,8 +161,8 @@ class RecordedSegment:
 
 
 def expected_segment(segment: Segment, units: dict[str, str], statistics: Statistics) -> RecordedSegment:
-    """Returns a segment that is not recorded yet. It has the expected statistics, and a few samples with their mean and scatter.
-    The number of these samples does not grow with the dwell."""
+    """Returns a segment that is not recorded yet. The segment has the expected statistics, and a few samples with their mean and
+    scatter. The number of these samples does not grow with the dwell."""
 
     def blocks(channels: Sequence[str]) -> Iterator[Block]:
         count = min(statistics.count, _SHOWN)

@@ -91,8 +91,8 @@ def _append(journal: Journal, state: JournalState, kind: str, data: Mapping[str,
 
 
 def _unknown_files(run: GuardedFolder, storage: Storage, state: JournalState) -> dict[tuple[int, int], list[Part]]:
-    """Returns the complete files of samples that the journal does not list because their event was not written. They are grouped by
-    segment and attempt."""
+    """Returns the complete files of samples that the journal does not list because their event was not written. The files are
+    grouped by segment and attempt."""
     known = {part.file for part in state.files()}
     found: dict[tuple[int, int], list[Part]] = {}
     folder = run.folder(FOLDER)

@@ -80,8 +80,8 @@ class Witness(Protocol):
 
 
 class RunWriter:
-    """Writes a run folder; a folder has only one writer at a time. It is made by `create` or `reopen`, and must be closed by
-    `close` or by leaving its context."""
+    """Writes a run folder; a folder has only one writer at a time. `create` and `reopen` make a writer. `close`, or the end of its
+    context, must close it."""
 
     def __init__(
         self,

@@ -69,7 +69,7 @@ def _compiled(schema: Json, whole: Mapping[str, Json], known: dict[str, list[Che
 
 
 def _referred(reference: str, whole: Mapping[str, Json], known: dict[str, list[Check]]) -> Check:
-    """Compiles a definition to which a schema refers. It is compiled only once, and may refer to itself."""
+    """Compiles a definition to which a schema refers. A definition is compiled only once, and may refer to itself."""
     if reference not in known:
         known[reference] = []
         target: Json = whole

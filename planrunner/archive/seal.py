@@ -46,8 +46,8 @@ def parse_seal(data: bytes, path: Path) -> JsonObject:
 def seal_faults(
     path: Path, seal: Mapping[str, Json], scan: JournalScan, state: JournalState
 ) -> Iterator[tuple[str, str]]:
-    """Yields the differences between a seal and the journal, each as a code and a message. `scan`: a scan of the journal. It must
-    have stored the head and the digest after the number of events that the seal states.
+    """Yields the differences between a seal and the journal, each as a code and a message. `scan`: a scan of the journal. The scan
+    must have stored the head and the digest after the number of events that the seal states.
 
     If a finished run was reopened to repeat a segment, its journal continues after the seal. In this case, only the sealed part of
     the journal is checked.

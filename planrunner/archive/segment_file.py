@@ -33,15 +33,16 @@ if TYPE_CHECKING:
 FOLDER = "segments"
 FORMAT = 1
 SUMMARY_FORMAT = 2
-"""Format of a segment's summary. It differs from `FORMAT`, so that an older version of planrunner does not read a summary as
-samples."""
+"""Format of a segment's summary. This format differs from `FORMAT`, so that an older version of planrunner does not read a summary
+as samples."""
 PART_BYTES = 32 * 2**20
 """Maximum size of the samples of one part, in bytes."""
 PART_SECONDS = 600.0
 """Maximum duration of one part, s. A crash loses at most the samples of this time."""
 GROUP_ROWS = 65_536
 MOST_BYTES = 2 * PART_BYTES
-"""Maximum size in bytes of a file of samples. It allows for samples that cannot be compressed, and for the tables of the file."""
+"""Maximum size in bytes of a file of samples. The maximum allows for samples that cannot be compressed, and for the tables of the
+file."""
 MOST_COLUMNS = 1000
 """Maximum number of columns of a file of samples."""
 

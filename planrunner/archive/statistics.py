@@ -152,8 +152,8 @@ def _range(columns: list[Array]) -> tuple[Array, Array]:
 
 
 class _Gathered:
-    """State of one pass over the samples: a chunk of samples, and a few numbers for each channel and batch. Its size does not
-    depend on the length of the segment.
+    """State of one pass over the samples: a chunk of samples, and a few numbers for each channel and batch. The size of this state
+    does not depend on the length of the segment.
 
     Samples are stored as deviations from the first sample of their chunk. No sample of n is further than √n standard deviations
     from the mean of all n samples. Rounding errors therefore grow at most by the factor n when the sums of products are converted

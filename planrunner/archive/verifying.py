@@ -515,8 +515,8 @@ def _check_names(found: Examined, standing: RecordedEntries) -> None:
 
 
 def _tell_unknown(found: Examined, path: Path, entry: Entry) -> None:
-    """Reports an entry that planrunner did not write. It is an error if the folder was sealed or if the entry is not a plain file
-    or folder; otherwise it is a warning."""
+    """Reports an entry that planrunner did not write. The finding is an error if the folder was sealed, or if the entry is not a
+    plain file or folder. Otherwise, it is a warning."""
     if entry.kind == "file" and path.name in FILE_MANAGERS:
         return
     message = f"{path}: {entry.what} that planrunner did not write"

@@ -1,9 +1,9 @@
 """Distributes work on many items over a Dask cluster (https://distributed.dask.org).
 
-A task consists of one item, or of several items if each of them takes very little time. A worker computes one item at a time. It
-uses a single thread for linear algebra, and has the same working directory as this process. If a worker is lost, Dask computes its
-items again on another worker. Only a limited number of items is on the cluster at a time, so that neither the scheduler nor this
-process keeps all of them.
+A task consists of one item, or of several items if each of them takes very little time. A worker computes one item at a time. Each
+worker uses a single thread for linear algebra, and has the same working directory as this process. If a worker is lost, Dask
+computes its items again on another worker. Only a limited number of items is on the cluster at a time, so that neither the
+scheduler nor this process keeps all of them.
 
 Before computing, a worker checks that it has the same program and libraries as this process, because otherwise the last digits may
 differ. The check is part of each task, because workers may join the cluster at any time.
@@ -71,8 +71,8 @@ class _Terms:
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """The answer to a task. It contains the results of its items up to the first item that failed, and the exception of this item.
-    If the worker cannot compute, it contains the reason instead.
+    """The answer to a task. The answer contains the results of the items up to the first item that failed, and the exception of
+    this item. If the worker cannot compute, it contains the reason instead.
 
     `seconds`: the time that computing took, s. `unfit`: maps each library whose versions differ to the pair (version here, version
     on the worker)."""
@@ -139,8 +139,8 @@ def computed_on_cluster(
 
 
 def _shared(size: int, left: int, threads: int) -> int:
-    """Returns the number of items in the next task. The number is at most `size`. It is so small that the remaining items give
-    several tasks for each thread of the cluster."""
+    """Returns the number of items in the next task. The number is at most `size`. The number is so small that the remaining items
+    give several tasks for each thread of the cluster."""
     return min(size, math.ceil(left / (_SHARES_LEFT * max(1, threads))))
 
 

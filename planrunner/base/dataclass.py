@@ -121,8 +121,8 @@ def _write(made: Any, name: str, function: Any) -> None:
 
 
 def _initialiser(made: Any, found: tuple[dataclasses.Field[Any], ...], frozen: bool) -> Any:
-    """Makes the method `__init__`, which is the only compiled method. It is compiled once for all classes with the same form of
-    `__init__`. Each class then receives a copy with the names of its fields."""
+    """Makes the method `__init__`, which is the only compiled method. The method is compiled once for all classes with the same
+    form of `__init__`. Each class then receives a copy with the names of its fields."""
     names: dict[str, object] = {"absent": dataclasses.MISSING}
     slots = {
         item.name: own for item in found if isinstance(own := getattr(made, item.name, None), MemberDescriptorType)

@@ -157,7 +157,7 @@ class Findings:
 
 
 class InputError(Exception):
-    """The input is wrong (exit code 2). It contains findings, which the command line prints without a traceback."""
+    """The input is wrong (exit code 2). The exception contains findings, which the command line prints without a traceback."""
 
     def __init__(self, findings: Iterable[Finding]):
         self.findings = list(findings)
@@ -183,8 +183,8 @@ def count_of(number: int, one: str, several: str = "") -> str:
 
 
 def elsewhere(marks: Sequence[Mark], first: Mark) -> str:
-    """Returns a text for the message of a finding that names the other lines concerned, such as ' (also on lines 12 and 13)'. It is
-    empty if the finding concerns only the line of `first`."""
+    """Returns a text for the message of a finding that names the other lines concerned, such as ' (also on lines 12 and 13)'. The
+    text is empty if the finding concerns only the line of `first`."""
     lines = sorted({mark.line for mark in marks} - {first.line})
     if not lines:
         return ""

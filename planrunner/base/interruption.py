@@ -37,8 +37,9 @@ class EndedError(KeyboardInterrupt):
 
 
 class Interruption:
-    """A context manager that handles the signals that end a command. It has an effect only in the main thread. Signals that are
-    ignored on purpose, as by `nohup`, remain ignored. `reason`: the name of the signal in words; empty before a signal arrives."""
+    """A context manager that handles the signals that end a command. The context manager has an effect only in the main thread.
+    Signals that are ignored on purpose, as by `nohup`, remain ignored. `reason`: the name of the signal in words; empty before a
+    signal arrives."""
 
     def __init__(self) -> None:
         self.reason = ""
@@ -112,7 +113,7 @@ def leave_with(code: int) -> None:
 
 
 def be_deaf() -> None:
-    """Ignores the signals that end planrunner. It is used in a process that must continue in spite of them."""
+    """Ignores the signals that end planrunner. This is used in a process that must continue in spite of these signals."""
     for number in signals(ENDING):
         signal.signal(number, signal.SIG_IGN)
 

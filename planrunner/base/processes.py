@@ -81,7 +81,7 @@ def shared_out(
 
 
 def _untold(_: float) -> None:
-    """Does nothing. It is used if no function for the progress is given."""
+    """Does nothing. This function is used if no function for the progress is given."""
 
 
 def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[[float], None] = _untold) -> list[R]:
@@ -114,7 +114,7 @@ def _may_fork() -> bool:
 
 
 class _Started(Generic[T, R]):
-    """A process that was started to compute a part of the items. It is ended when its context is left."""
+    """A process that was started to compute a part of the items. The process ends at the end of its context."""
 
     def __init__(self, method: str, work: Callable[[T], R], share: Sequence[T]):
         from multiprocessing import get_context

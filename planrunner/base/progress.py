@@ -42,8 +42,8 @@ class Pace:
         self._began = self._shown = now()
 
     def reached(self, amount: float) -> None:
-        """States the amount of data that has been processed so far, and reports the progress if a report is due. It can be called
-        often."""
+        """States the amount of data that has been processed so far, and reports the progress if a report is due. The method can be
+        called often."""
         if self._notice is None or amount <= 0 or self._amount <= 0:
             return
         time = now()

@@ -87,8 +87,8 @@ def said(template: str, /, **values: Inserted) -> Said:
 
 
 def counted(one: str, many: str, /, count: int, **values: Inserted) -> Said:
-    """Does the same as `said`, with the first template if `count` is 1 and the second template otherwise. Both templates can
-    contain `{count}`."""
+    """Does the same as `said`, with the first template if `count` is 1 and the second template otherwise. Each of the two templates
+    can contain `{count}`."""
     return _made(one, many, {COUNT: count, **values})
 
 

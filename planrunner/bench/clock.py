@@ -1,5 +1,5 @@
-"""Provides clocks for simulated time and for real time. Both have the same methods, so that the executor need not know which one it
-uses."""
+"""Provides clocks for simulated time and for real time. The two clocks have the same methods, so that the executor can use either
+of them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 
 class VirtualClock:
-    """A clock of simulated time. It advances only during calls of `sleep`, which take no real time."""
+    """A clock of simulated time. This clock advances only during calls of `sleep`, which take no real time."""
 
     def __init__(self, start: float = 0.0):
         self._now = start
@@ -30,7 +30,7 @@ class VirtualClock:
 
 
 class WallClock:
-    """A clock of real time. It is monotonic: it does not jump when the computer's clock is set.
+    """A clock of real time. This clock is monotonic: it does not jump if the computer's clock is set.
 
     A sleep is interruptible: about every `slice` seconds it calls the callback given to `attend`, and it ends early if the callback
     returns True. `speed`: seconds of this clock per second of real time, for a bench whose simulated instruments run faster.

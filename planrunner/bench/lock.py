@@ -1,5 +1,5 @@
-"""Ensures that only one run uses a bench. A process locks every real instrument against all other processes of the computer. It
-locks all names of the instrument's address.
+"""Ensures that only one run uses a bench. A process locks every real instrument against all other processes of the computer. The
+process locks all names of the instrument's address.
 
 Locks are files in one folder of the computer, which does not depend on the folder for temporary files of a process. The operating
 system releases them when a process ends for any reason. The watchdog of a run takes a lock as well, before the first instrument is

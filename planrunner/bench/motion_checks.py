@@ -43,7 +43,7 @@ class Hold:
 
     `settle`: planned settling time, s. `dwell`: planned dwell, s; None if the dwell lasts as long as the recording. `sampled`:
     sample rate, Hz; None if the sensor is not known. `sooner`: the time [s] by which the settling may end early; 0 if the settling
-    has a fixed length. It may end early if it ends as soon as measurements allow.
+    has a fixed length. The settling may end early if it ends as soon as measurements allow.
     """
 
     settle: float
@@ -258,8 +258,8 @@ def mean_left(turns: float) -> float:
     """Returns the largest possible absolute mean of a sine wave with the amplitude one during `turns` turns. The mean depends on
     the start angle of the sine wave; the result is the largest mean of all start angles.
 
-    The mean (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN). Its magnitude is at most |sin πN|/(πN), and it is
-    zero after whole turns.
+    The mean (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN). The magnitude of this mean is at most |sin
+    πN|/(πN), and the mean is zero after whole turns.
     """
     return abs(math.sin(math.pi * turns)) / (math.pi * turns)
 

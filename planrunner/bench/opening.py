@@ -51,8 +51,8 @@ class SafetyFailure:
 
 
 class OpenBench:
-    """A bench whose instruments are connected. It is a context manager: on exit, it makes the controlled instruments safe and then
-    disconnects all instruments.
+    """A bench whose instruments are connected. The bench is a context manager: on exit, it makes the controlled instruments safe
+    and then disconnects all instruments.
 
     `table`, `chamber`, `sensor`: the instrument of that role, or None. `instruments`: maps the name of each instrument to the
     instrument. `limits`: descriptions of the limits that the instruments enforce themselves. `watchdog`: the watchdog, if one

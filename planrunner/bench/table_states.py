@@ -3,7 +3,7 @@ the consequences for the next orientation.
 
 The angle at which a motion ends is known only approximately: the computer ends the motion with some delay, and the rate has an
 error. If two ways to the next orientation take almost equally long, the deviation of the angle decides which way the table takes.
-Both ways are then possible.
+In this case, both ways are possible.
 """
 
 from __future__ import annotations

@@ -55,8 +55,9 @@ class Temperatures:
 
     def check_soaked(self, label: str, now: float, soak: float, mark: Mark) -> None:
         """Warns if, at the beginning of the dwell, the temperature of the sensor differs from the setpoint by more than the
-        chamber's tolerance. It is computed with the declared lag of the sensor. The warning is given once for each change of the
-        setpoint, because a soak that is long enough for the first segment is also long enough for the following segments."""
+        chamber's tolerance. The temperature of the sensor is computed with the declared lag of the sensor. The warning is given
+        once for each change of the setpoint, because a soak that is long enough for the first segment is also long enough for the
+        following segments."""
         if self._chamber is None or not self._lag or self._warned == self._reached:
             return
         left = self._behind(now)

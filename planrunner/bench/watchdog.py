@@ -1,10 +1,10 @@
 """Starts and feeds the watchdog, a separate process that makes the bench safe if planrunner no longer can.
 
-The watchdog is started before the first instrument is connected. It receives the names of the instruments that the run controls,
-and a heartbeat about every second. It ends when the run reports that the bench is safe. If the connection ends in any other way,
-planrunner has crashed, was killed or could not make the bench safe; the watchdog then acts (`planrunner.bench.watchdog_process`).
-If the heartbeat stops for longer than the bench allows, the watchdog ends planrunner and then acts. It acts only on the instruments
-that the run controlled.
+The watchdog is started before the first instrument is connected. The watchdog receives the names of the instruments that the run
+controls, and a heartbeat about every second. The watchdog ends when the run reports that the bench is safe. If the connection ends
+in any other way, planrunner has crashed, was killed or could not make the bench safe; the watchdog then acts
+(`planrunner.bench.watchdog_process`). If the heartbeat stops for longer than the bench allows, the watchdog ends planrunner and
+then acts. The watchdog acts only on the instruments that the run controlled.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ class Watchdog:
         return self._process.pid
 
     def sign_of_life(self) -> None:
-        """Tells the watchdog that planrunner is at work. It may be called often, at low cost. Raises `InstrumentError` if the
-        watchdog has ended."""
+        """Tells the watchdog that planrunner is at work. The method may be called often, at low cost. Raises `InstrumentError` if
+        the watchdog has ended."""
         now = time.monotonic()
         if now - self._told < EVERY:
             return

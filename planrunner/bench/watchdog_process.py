@@ -1,12 +1,12 @@
 """The watchdog process, started by `planrunner.bench.watchdog` through `planrunner.bench.watchdog_start`.
 
 From its standard input, it reads which bench it guards, and then heartbeats and the names of the instruments that planrunner
-controls. It makes the bench safe in two cases: if the input ends without the word `safe`, and if the heartbeat stops for too long.
-In the second case, it first ends planrunner, because planrunner may hold exclusive connections and might continue to send commands.
-To make the bench safe, it connects to every real instrument that planrunner controlled, using only the bench file, and brings the
-instrument to its safe state. If an instrument hangs or fails, it continues with the next. Instruments to which planrunner had only
-connected are left as they are. It reports to the run folder and on its standard error stream. While it exists, no other run gets
-the bench (`bench.lock`).
+controls. The watchdog makes the bench safe in two cases: if the input ends without the word `safe`, and if the heartbeat stops for
+too long. In the second case, it first ends planrunner, because planrunner may hold exclusive connections and might continue to send
+commands. To make the bench safe, it connects to every real instrument that planrunner controlled, using only the bench file, and
+brings the instrument to its safe state. If an instrument hangs or fails, it continues with the next. Instruments to which
+planrunner had only connected are left as they are. The watchdog reports to the run folder and on its standard error stream. While
+it exists, no other run gets the bench (`bench.lock`).
 """
 
 from __future__ import annotations

@@ -161,9 +161,9 @@ def _imported(name: str) -> ModuleType:
 
 
 _ONE_THREAD = ("check", "show", "runs", "history", "compare", "gauge", "estimate", "verify")
-"""Commands that run without the threads of OpenBLAS. Some have matrices so small that the start of threads costs more time than it
-saves. Others compute with one thread, so that the digits of results do not depend on the number of threads. A process without
-threads can also fork processes that share its work."""
+"""Commands that run without the threads of OpenBLAS. In some commands, the matrices are so small that the start of threads costs
+more time than it saves. Other commands compute with one thread, so that the digits of results do not depend on the number of
+threads. A process without threads can also fork processes that share its work."""
 
 
 def _start_no_threads(command: str) -> None:

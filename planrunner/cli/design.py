@@ -1,5 +1,5 @@
-"""`planrunner design`: finds better positions or rates for a plan on its bench, and a bound that no design can exceed. It can also
-find a better rotation cycle.
+"""`planrunner design`: finds better positions or rates for a plan on its bench, and a bound that no design can exceed. The command
+can also find a better rotation cycle.
 """
 
 from __future__ import annotations

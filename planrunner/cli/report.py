@@ -1,5 +1,5 @@
-"""`planrunner report`: makes the reports of one or more runs again, as a new analysis. It also makes certificates, and reports from
-the user's own templates."""
+"""`planrunner report`: makes the reports of one or more runs again, as a new analysis. The command also makes certificates, and
+reports from the user's own templates."""
 
 from __future__ import annotations
 

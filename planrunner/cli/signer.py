@@ -1,7 +1,7 @@
 """Finds the key that signs: a key file, or a key of the running ssh-agent.
 
-The passphrase of a key comes from a file descriptor, the environment or the terminal. It never comes from the command line, because
-other users can see it there.
+The passphrase of a key comes from a file descriptor, the environment or the terminal. The passphrase never comes from the command
+line, because other users can see it there.
 """
 
 from __future__ import annotations

@@ -19,8 +19,8 @@ from planrunner.base.workers import ALONE, Workers, results_in_order
 
 
 def loss(matrix: Array, criterion: str) -> float:
-    """Returns the loss of an information matrix M (p, p). The loss is −ln|M| for criterion D, and tr M⁻¹ for criterion A. It is
-    infinite if M is singular."""
+    """Returns the loss of an information matrix M (p, p). The loss is −ln|M| for criterion D, and tr M⁻¹ for criterion A. The loss
+    is infinite if M is singular."""
     sign, logarithm = np.linalg.slogdet(matrix)
     size = float(np.trace(matrix)) / len(matrix)
     if sign <= 0 or size <= 0 or logarithm - len(matrix) * math.log(size) < 2 * math.log(1e-9):

@@ -172,7 +172,7 @@ def solve_with_climbing(
     fixed: Array | None = None,
 ) -> Continuous:
     """Returns the best fractions of the observations for points of a continuous region. The search starts with the candidates
-    `rows`. It then searches for better points by climbing, and adds them to the candidates, until climbing finds no better point.
+    `rows`. Then the search finds better points by climbing, and adds them to the candidates, until climbing finds no better point.
 
     `climb`: a function of (M, W) that returns the rows of points at local maxima of the derivative over the region, and the
     derivatives there. The excess of the result refers to the whole region, provided that climbing finds the maxima.

@@ -185,8 +185,8 @@ def free_order(
     often, and no turn is longer than half a turn.
 
     Let n be the number of positions. The search first tries every order with n moves, then every order with 2·n moves, and so on.
-    It ends when a cycle has zero residual and a mean angle of zero. If there are too many orders, the search tries only turns to
-    neighbouring positions. Raises `CycleError` if the positions are not balanced.
+    The search ends when a cycle has zero residual and a mean angle of zero. If there are too many orders, the search tries only
+    turns to neighbouring positions. Raises `CycleError` if the positions are not balanced.
     """
     angles = sorted({round(angle % TURN, 9) % round(TURN, 9): angle % TURN for angle in positions}.values())
     if len(angles) < 2:

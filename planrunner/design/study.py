@@ -185,7 +185,7 @@ class FoundCycles:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What a study is about.
+    """Names the subject of a study.
 
     `title`: title of the plan. `facts`: names of plan, bench and site. `file`: the plan file. `findings`: the findings of the check
     of the plan.

@@ -106,8 +106,8 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
     value with unit; the empty name stands for the only parameter or, if there are several, for all amplitudes. Parameters that are not
     stated have their default value. If an amplitude is stated under its own name, all amplitudes that are not stated are zero.
 
-    `observed`: any recording or schedule of the plan. It is needed because the parameters of an effect depend on the plan. Raises
-    `InputError` for an unknown parameter or value, and for an effect that cannot act on this sensor under this plan.
+    `observed`: any recording or schedule of the plan. `observed` is necessary because the parameters of an effect depend on the
+    plan. Raises `InputError` for an unknown parameter or value, and for an effect that cannot act on this sensor under this plan.
     """
     if name not in plugins.names(plugins.EFFECTS):
         hint = closest(name, plugins.names(plugins.EFFECTS))

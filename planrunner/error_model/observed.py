@@ -47,8 +47,8 @@ class Channel:
 
 def axis_of(name: str) -> int | None:
     """Returns the sensor axis along which a channel measures. The axis is the first x, y or z among the words of the channel's
-    name, in small or capital letters, such as gyro_x, x_rate or accel_z_filtered. None if the name contains no axis. Recordings,
-    schedules and simulations all use this function."""
+    name, in small or capital letters, such as gyro_x, x_rate or accel_z_filtered. The result is None if the name contains no axis.
+    Recordings, schedules and simulations all use this function."""
     return next(("xyz".index(word) for word in name.lower().split("_") if word in ("x", "y", "z")), None)
 
 
@@ -327,8 +327,8 @@ class Observed:
 
     @cached_property
     def pulsation(self) -> Array:
-        """Returns the angular frequency (2π times the frequency) of a rocking table [rad/s], shape (N,). It is 0 in other segments
-        and while the table is at rest."""
+        """Returns the angular frequency (2π times the frequency) of a rocking table [rad/s], shape (N,). The result is 0 in other
+        segments and while the table is at rest."""
         each = np.array([2 * np.pi * m.frequency if isinstance(m, Rock) else 0.0 for m in self.motions])[self.owner]
         return np.where((self.rate != 0) | (self.acceleration != 0), each, 0.0)
 
@@ -422,8 +422,8 @@ class Observed:
 
     @cached_property
     def nominal_output(self) -> Array:
-        """Returns the output of the channels without any effect, SI, shape (N, K). It comes from the fitted nominal model, or from
-        an ideal sensor before the fit."""
+        """Returns the output of the channels without any effect, SI, shape (N, K). This output comes from the fitted nominal model,
+        or from an ideal sensor before the fit."""
         if self.fitted is not None:
             return self.fitted
         felt = {"gyro": self.omega, "accel": self.force}

@@ -1,4 +1,4 @@
-"""Represents a schedule as a recording without values. It has the segments and channels on which effects will act."""
+"""Represents a schedule as a recording without values. The recording has the segments and channels on which effects will act."""
 
 from __future__ import annotations
 

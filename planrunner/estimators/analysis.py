@@ -107,7 +107,7 @@ def analyse(
 
 def _in_order(estimates: Mapping[str, EstimateSpec]) -> list[str]:
     """Returns the names of the estimates, ordered so that every estimate comes after the estimates that it uses. Estimates that use
-    each other in a circle come last. They fail later, because their inputs are missing."""
+    each other in a circle come last. These estimates fail later, because their inputs are missing."""
     order: list[str] = []
     waiting = list(estimates)
     while waiting:
@@ -199,8 +199,8 @@ def coarse_counts(
     """Warns of each channel whose noise, in at least one segment, is too small to average out the rounding to counts. `channels`:
     the channels to check; if empty, all outputs of the sensor.
 
-    In such a channel, equal inputs have equal rounding errors. Neither the noise within the segments nor the scatter of repetitions
-    shows these errors.
+    In such a channel, equal inputs have equal rounding errors. The rounding errors do not appear in the noise within the segments
+    or in the scatter of repetitions.
     """
     found = []
     for output in sensor.outputs:

@@ -124,7 +124,7 @@ def derived(
 
     `formula`: a function that converts an array (r, n) of coefficients to an array (q, n) of quantities; its argument contains the
     coefficients of all outputs in sequence. `at`: array of shape (r,), values of the coefficients at which the formula is
-    evaluated. It is given if the coefficients of the fits are only small changes of these values. `between`: for each kind of
+    evaluated. `at` is given if the coefficients of the fits are only small changes of these values. `between`: for each kind of
     uncertainty, the covariance (r, r) between the coefficients of different fits. Exceptions that the formula raises are not
     caught.
     """

@@ -84,7 +84,7 @@ class DoubtedDrift:
     for each output and each column of the drift function, √(a² + u²) of the fitted amplitude a and its standard uncertainty u.
     `probability`: the smaller of two probabilities. One is the probability that chance alone gives amplitudes at least as large as
     the fitted amplitudes. The other is the probability that chance alone gives residuals at least as large as the residuals of the
-    fit without drift. It is 1 for a drift function that was not tested."""
+    fit without drift. `probability` is 1 for a drift function that was not tested."""
 
     course: DriftCourse
     amplitudes: Array
@@ -287,8 +287,8 @@ def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:
 
 
 def _criterion(found: Sequence[LinearFit], n: int) -> float:
-    """Returns the Bayesian information criterion of fits with n observations each. It is χ² of all fits, plus ln N for each fitted
-    coefficient, where N is the number of observations of all fits together."""
+    """Returns the Bayesian information criterion of fits with n observations each. The criterion is χ² of all fits, plus ln N for
+    each fitted coefficient, where N is the number of observations of all fits together."""
     terms = sum(n - one.degrees_of_freedom for one in found)
     return sum(one.chi_squared for one in found) + terms * float(np.log(n * len(found)))
 
@@ -354,8 +354,8 @@ def _suspected(
     hinted: tuple[DriftCourse, float] | None,
     fits: Fits,
 ) -> tuple[SuspectedDrift, ...]:
-    """Returns the suspected drift functions. It is used if no drift function is adopted. `hinted`: the most likely of the tested
-    drift functions, and the probability that chance alone gives its amplitude."""
+    """Returns the suspected drift functions. This function is used if no drift function is adopted. `hinted`: the most likely of
+    the tested drift functions, and the probability that chance alone gives its amplitude."""
     found = []
     for course in drift.courses:
         probability = hinted[1] if hinted is not None and hinted[0] is course else 1.0

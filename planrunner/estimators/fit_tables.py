@@ -82,7 +82,7 @@ def spread_columns(basis: str) -> tuple[TableColumn, ...]:
 
 def bases_table(found: Derived, chosen: str, count: int | None = None) -> Table:
     """Makes a table of the Type A uncertainties of the first `count` quantities. The table contains the chosen kind of uncertainty.
-    It also contains the other kind, if that kind is known for all fits."""
+    The table also contains the other kind, if this kind is known for all fits."""
     bases = bases_shown(chosen, found.fits)
     spreads = [found.spread(basis) for basis in bases]
     columns = [TableColumn("coefficient"), TableColumn("unit"), TableColumn("value", Role.VALUE)]

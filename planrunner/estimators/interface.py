@@ -133,8 +133,8 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """Describes the test set-up apart from site and sensor. It contains the table, the mounting of the sensor, the stated
-    uncertainties, the information on this run (name → text), and a flag that is True if the bench plays back a recording."""
+    """Describes the test set-up apart from site and sensor. The set-up consists of the table, the mounting of the sensor, the
+    stated uncertainties, the information on this run (name → text), and a flag that is True if the bench plays back a recording."""
 
     table: TableModel | None = None
     mounting: Mapping[str, MountedAxis] = field(default_factory=dict)

@@ -149,8 +149,8 @@ _BATCH = 4  # chunks scaled and reduced at a time, so that all of it stays in th
 
 
 def _triangle(matrix: Array, observed: Array, weight: Array | None, scale: Array) -> Array:
-    """Returns the matrix R of the QR factorisation of weight·[matrix·scale | observed], shape (p + 1, p + 1). It is used for a
-    matrix with many rows.
+    """Returns the matrix R of the QR factorisation of weight·[matrix·scale | observed], shape (p + 1, p + 1). This function is used
+    for a matrix with many rows.
 
     First, chunks of rows are reduced separately. Then the resulting triangular matrices are reduced together (Demmel et al., SIAM
     J. Sci. Comput. 34, 2012).

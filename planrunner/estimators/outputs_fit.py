@@ -1,9 +1,9 @@
 """Fits several outputs with the same design matrix. Gives the coefficients with their joint covariance and degrees of freedom, for
 each of two bases of uncertainty.
 
-The prior knowledge about the observations of an output is a covariance V. It contains the noise observed within the segments and
-the declared correlated errors (`correlated_errors`). The fit is generalised least squares with V. The two bases of uncertainty
-answer different questions:
+The prior knowledge about the observations of an output is a covariance V. V contains the noise observed within the segments and the
+declared correlated errors (`correlated_errors`). The fit is generalised least squares with V. The two bases of uncertainty answer
+different questions:
 
     within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences. Unstated
                      changes from segment to segment (switch-on, an incomplete model) are not included. residual V gives the

@@ -1,5 +1,5 @@
-"""Fits a straight line F = K·ω + F0 to outputs at several rates. It gives the scale factor and the bias, and the nonlinearity and
-the asymmetry (terms of IEEE 952 and 1431).
+"""Fits a straight line F = K·ω + F0 to outputs at several rates. The fit gives the scale factor and the bias, and the nonlinearity
+and the asymmetry (terms of IEEE 952 and 1431).
 
 Any output may be fitted. For a cross-axis output, the slope gives its misalignment with respect to the rotation axis.
 """

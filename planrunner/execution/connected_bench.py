@@ -31,8 +31,8 @@ class ConnectedBench(Protocol):
     def limits(self) -> OwnLimits: ...
 
     def take_control(self, *names: str) -> None:
-        """Announces that these instruments (by default all) are commanded from now on and must be made safe. It is called before
-        the first command. Raises `InstrumentError` if no watchdog guards the bench."""
+        """Announces that these instruments (by default all) are commanded from now on and must be made safe. The method is called
+        before the first command. Raises `InstrumentError` if no watchdog guards the bench."""
 
     @property
     def untouched(self) -> Sequence[str]:
@@ -42,5 +42,5 @@ class ConnectedBench(Protocol):
         """Brings every controlled instrument to its safe state; returns the failures, whose texts name the instruments."""
 
     def sign_of_life(self) -> None:
-        """Tells the watchdog that planrunner is at work. It is called often. Raises `InstrumentError` if no watchdog guards the
-        bench any more."""
+        """Tells the watchdog that planrunner is at work. The method is called often. Raises `InstrumentError` if no watchdog guards
+        the bench any more."""

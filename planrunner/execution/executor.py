@@ -1,9 +1,9 @@
 """Executes a schedule on a bench and makes a recording.
 
 For each segment it brings the bench to the required state (temperature, orientation, motion), waits for settling, writes the
-samples of the sensor to the run folder, takes readings, and ends the motion. It uses instruments only through the interfaces of
-their capabilities, and time only through the clock of the bench. If a limit of the plan is exceeded during a segment, the segment
-is rejected and repeated, as often as the plan allows. After any failure, the bench is first brought to its safe state.
+samples of the sensor to the run folder, takes readings, and ends the motion. The executor uses instruments only through the
+interfaces of their capabilities, and time only through the clock of the bench. If a limit of the plan is exceeded during a segment,
+the segment is rejected and repeated, as often as the plan allows. After any failure, the bench is first brought to its safe state.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Supervises the bench during every wait of a run. It checks links, faults, limits of the bench, the watchdog, and requests of the
-operator.
+"""Supervises the bench during every wait of a run. The lookout checks links, faults, limits of the bench, the watchdog, and
+requests of the operator.
 
 About once a second by the bench's clock, every instrument that can report its state is queried. Unusual events are entered in the
 journal.

@@ -89,7 +89,7 @@ class Meter:
             self._tell(SegmentBegun(segment.index, segment.label, self._segments, *self._pace(self._behind)))
 
     def advance(self, clock: float, activity: str) -> None:
-        """Sends an event if one is due. It is called often."""
+        """Sends an event if one is due. The method is called often."""
         now = time.monotonic()
         segment = self._segment
         if segment is None or now - self._shown < EVERY:

@@ -61,7 +61,7 @@ class Clock(Protocol):
 
 
 class RunClock(Clock, Protocol):
-    """The clock of a run. It can be set when a run is resumed, and it calls a function while it sleeps."""
+    """The clock of a run. The clock can be set when a run is resumed, and it calls a function while it sleeps."""
 
     def set(self, seconds: float) -> None:
         """Sets the time from which the clock continues when a run is resumed."""
@@ -72,7 +72,8 @@ class RunClock(Clock, Protocol):
 
 @runtime_checkable
 class Hastens(Protocol):
-    """A clock that runs `speed` times as fast as real time. It is used by benches whose simulated instruments run at this speed."""
+    """A clock that runs `speed` times as fast as real time. Benches use this clock if their simulated instruments run at this
+    speed."""
 
     speed: float
 
@@ -160,8 +161,9 @@ class Instrument(Protocol):
         """Returns manufacturer, model, serial number and further details, as the instrument reports them."""
 
     def make_safe(self) -> None:
-        """Brings the instrument to its safe state (table stopped, chamber at ambient temperature). It can be called repeatedly. It
-        raises `InstrumentError` after every failure, because the caller must then decide whether a watchdog has to act.
+        """Brings the instrument to its safe state (table stopped, chamber at ambient temperature). The method can be called
+        repeatedly. The method raises `InstrumentError` after every failure, because the caller must then decide whether a watchdog
+        has to act.
 
         Further commands may follow, because a run that waits for its operator waits in the safe state and then continues."""
 
@@ -233,8 +235,8 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class SummaryChannels:
-    """States the meaning of the channels of a summary. A summary is one sample that represents a whole segment. It contains the
-    means of the channels and, in further channels, their scatter. The attributes name these further channels.
+    """States the meaning of the channels of a summary. A summary is one sample that represents a whole segment. A summary contains
+    the means of the channels and, in further channels, their scatter. The attributes name these further channels.
 
     `deviations`: for each channel, the further channel with the standard deviation of the averaged samples; these samples are
     treated as independent. `count`: channel with the number of samples. `seconds`: channel with the duration.
@@ -296,7 +298,7 @@ class Alive(Protocol):
     link."""
 
     def heartbeat(self) -> None:
-        """Makes the shortest possible exchange with the instrument. It is called every few seconds if there is no other
+        """Makes the shortest possible exchange with the instrument. The method is called every few seconds if there is no other
         communication. Raises `InstrumentError` if there is no reply."""
 
 
@@ -320,9 +322,9 @@ class OwnLimits:
 @runtime_checkable
 class SelfLimiting(Protocol):
     def limit(self, limits: OwnLimits) -> Sequence[str]:
-        """Sets the limits and time-outs that the instrument supports. It is called before the first move, and again after a wait in
-        the safe state. Returns one line for the journal for each limit that was set. Raises `InstrumentError` if a supported limit
-        cannot be set."""
+        """Sets the limits and time-outs that the instrument supports. The method is called before the first move, and again after a
+        wait in the safe state. Returns one line for the journal for each limit that was set. Raises `InstrumentError` if a
+        supported limit cannot be set."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -124,8 +124,8 @@ class NoiseModel:
     states_flicker: bool = False
 
     def dithers(self, variance: float | Array) -> NDArray[np.bool_]:
-        """Returns True if the rounding of samples to counts averages out in a mean. It averages out in two cases: if the noise of
-        the samples is large enough to dither the rounding, or if remainders are carried from sample to sample (`counted`).
+        """Returns True if the rounding of samples to counts averages out in a mean. The rounding averages out in two cases: if the
+        noise of the samples is large enough to dither the rounding, or if remainders are carried from sample to sample (`counted`).
         `variance`: variance of the samples due to noise, unit²."""
         return np.logical_or(self.counted, np.asarray(variance) > (self.resolution / 2) ** 2)
 

@@ -1,4 +1,4 @@
-"""Reads a recording that is played back. It consists of one file or several, in any format, inside a data folder.
+"""Reads a recording that is played back. The recording consists of one file or several, in any format, inside a data folder.
 
 The memory that a file requires is checked before a sample is read. Samples are read in batches, so the required memory does not
 grow with the length of the recording.

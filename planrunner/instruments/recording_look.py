@@ -79,11 +79,11 @@ class LikelyChannel:
     """A column that is probably a channel.
 
     `unit`: the probable unit. `counts`: True if the numbers are raw counts, of which `per_unit` are one unit. `noise`: standard
-    deviation of a sample at rest, in `unit`. It is 0 if the channel is constant at rest, and NaN if the noise is unknown. `source`:
-    the evidence for the unit. It is `name` if the name of the column states the unit, `size` if the size of the values suggests the
-    unit, and `motion` if turns that the accelerometers also show confirm the unit. `stands`: True if the values of the channel
-    never change. `increments`: True if the column contains the integral over one sample period; in this case, `per_unit` is this
-    period."""
+    deviation of a sample at rest, in `unit`. `noise` is 0 if the channel is constant at rest, and NaN if the noise is unknown.
+    `source`: the evidence for the unit. `source` is `name` if the name of the column states the unit, `size` if the size of the
+    values suggests the unit, and `motion` if turns that the accelerometers also show confirm the unit. `stands`: True if the values
+    of the channel never change. `increments`: True if the column contains the integral over one sample period; in this case,
+    `per_unit` is this period."""
 
     name: str
     column: str

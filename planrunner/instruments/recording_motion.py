@@ -1,8 +1,8 @@
 """Compares the gyros of a recording that has no description yet with its accelerometers.
 
 A turn between two intervals at rest changes the direction of gravity in the sensor's axes. The accelerometers show this change
-directly. It can also be computed by integrating the outputs of the gyros. The comparison of the two shows the unit of the gyros,
-and whether axes are exchanged or reversed."""
+directly. The change can also be computed by integrating the outputs of the gyros. The comparison of the two shows the unit of the
+gyros, and whether axes are exchanged or reversed."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Checks a recording before it is played back: reports all faults in one pass with limited memory.
 
-It finds times that are missing or decrease; segments that extend beyond the data, contain no or too few samples, or overlap; gaps
-in time; and missing numbers. Faults that prevent playback are errors. Faults that only reduce the data for an estimate are
+The check finds times that are missing or decrease; segments that extend beyond the data, contain no or too few samples, or overlap;
+gaps in time; and missing numbers. Faults that prevent playback are errors. Faults that only reduce the data for an estimate are
 warnings.
 """
 
@@ -29,7 +29,7 @@ this long after its last sample."""
 LEAST_ROWS = 100
 """Number of rows from which a channel with a constant value counts as dead."""
 SHOWN = 3
-"""Maximum number of places that a finding names. It states only the number of the others."""
+"""Maximum number of places that a finding names. For the other places, the finding states only their number."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""The server of the live page. It listens only on the loopback interface, requires a token, and makes no external request.
+"""The server of the live page. The server listens only on the loopback interface, requires a token, and makes no external request.
 
 The page and its script contain no data and need no token. All data and actions need the token in the `Authorization` header. The
 page takes the token from the fragment of its address, which browsers do not send. A cookie would not be secret, because browsers

@@ -41,9 +41,9 @@ class Alignment:
     `rotation`: array of shape (3, 3), body axes as columns in East-North-Up. `covariance`: array of shape (16, 16), covariance of
     the errors that remain: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn, in
     body axes. `constant`: array of shape (6,), estimates of the constant sensor errors, rad/s and m/s². `consistency`: root mean
-    square of the innovations, each divided by its expected standard deviation. It is usually about 1; a smaller value is harmless.
-    `largest`: the largest innovation, m/s. `followed`: array of shape (16, 6, m), the errors that remain if one of the 6 sensors
-    has an error of 1 rad/s or 1 m/s² in one of m intervals of the alignment; m = 0 unless the intervals are requested.
+    square of the innovations, each divided by its expected standard deviation. `consistency` is usually about 1; a smaller value is
+    harmless. `largest`: the largest innovation, m/s. `followed`: array of shape (16, 6, m), the errors that remain if one of the 6
+    sensors has an error of 1 rad/s or 1 m/s² in one of m intervals of the alignment; m = 0 unless the intervals are requested.
     """
 
     rotation: Array

@@ -97,8 +97,8 @@ class ErrorEquations:
         return found
 
     def levelled(self) -> Array:
-        """Computes the tilt after an alignment at rest for a constant error of 1 rad/s or 1 m/s² in each input, shape (3, 6). It is
-        the tilt of the stationary solution.
+        """Computes the tilt after an alignment at rest for a constant error of 1 rad/s or 1 m/s² in each input, shape (3, 6). This
+        tilt belongs to the stationary solution.
 
         For the errors ε and ∇, it is φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L). φ_U is the limit of accuracy
         of gyrocompassing.
@@ -111,8 +111,8 @@ class ErrorEquations:
 
 
 def exponential(matrix: Array) -> Array:
-    """Returns the matrix exponential, computed from its series by scaling and squaring. It is meant for the small, well-scaled
-    matrices of this module."""
+    """Returns the matrix exponential, computed from its series by scaling and squaring. The function is designed for the small,
+    well-scaled matrices of this module."""
     norm = float(np.abs(matrix).sum(axis=1).max())
     halvings = max(0, math.ceil(math.log2(norm)) + 1) if norm > 0 else 0
     scaled = matrix / 2.0**halvings

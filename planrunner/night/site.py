@@ -1,5 +1,5 @@
-"""Writes the static site of an archive. It shows runs, devices, benches and coefficients over time, in files that a browser opens
-without a server.
+"""Writes the static site of an archive. The site shows runs, devices, benches and coefficients over time, in files that a browser
+opens without a server.
 
 From a file share, browsers do not allow a page to read data files, but they load scripts. The data are therefore written as scripts
 that pass JSON to the page: the runs in chunks (`data-<digest>/runs-0.js` and so on), and one file for each device. The file

@@ -1,9 +1,9 @@
 """Computes the timetable of a night: which test begins when, on which bench, and which tests do not fit.
 
-`NightCourse` contains the state of a night and the rules by which the night continues. It uses neither processes nor a clock: the
-caller states the time, and which tests have ended. `planrunner check` simulates the night with the planned durations (`foresee`).
-`planrunner night` updates the state with real events. Both commands therefore follow the same rules. Times are instants, seconds
-since 1970 UTC.
+`NightCourse` contains the state of a night and the rules by which the night continues. `NightCourse` does not use processes or a
+clock: the caller states the time, and the tests that have ended. `planrunner check` simulates the night with the planned durations
+(`foresee`). `planrunner night` updates the state with real events. Both commands therefore follow the same rules. Times are
+instants, seconds since 1970 UTC.
 
 The next test on a bench is the first one, in the order of the suite, that meets three conditions: the tests for which it waits have
 ended, its device is free, and it can end in time with its planned duration.

@@ -9,8 +9,8 @@ Second, if the prediction replaces the sample, all neighbours of the sample agre
 steps, and sudden starts and stops of the motion. A small sudden change of the rate looks nearly like a spike. Of these two
 explanations, the one that fits better is chosen.
 
-The samples next to the ends of a segment have fewer than three neighbours on one side. They are compared with the parabola through
-the next three samples. The first and the last sample are not examined, because a motion may begin or end there.
+The samples next to the ends of a segment have fewer than three neighbours on one side. These samples are compared with the parabola
+through the next three samples. The first and the last sample are not examined, because a motion may begin or end there.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class AngleSpikes:
             self._examine(last=False)
 
     def finish(self) -> list[Find]:
-        """Returns all findings. It must be called once, after the last samples."""
+        """Returns all findings. The method must be called once, after the last samples."""
         self._examine(last=True)
         return self.found
 
@@ -147,7 +147,8 @@ class AngleSpikes:
         return [(k, off, scale / _FACTOR)]
 
     def _seen_counts(self, x: Array, k: int) -> float:
-        """Returns the smallest deviation that rounding cannot cause. It is judged from the steps between the other samples."""
+        """Returns the smallest deviation that rounding cannot cause. This deviation is estimated from the steps between the other
+        samples."""
         bends = np.abs(np.diff(x, 2))
         bends[max(k - 2, 0) : k + 1] = 0.0
         bends = bends[bends > _ROUNDED * self.radian]

@@ -4,8 +4,8 @@ is a function of the time, of the temperature, or of the temperature's rate of c
 A drift is not a result: the drift functions are fitted together with the coefficients only so that the unknown drift contributes to
 the uncertainties of the coefficients. A drift function is represented by its mean over each segment, minus its average over the
 recorded time of all segments that the estimate uses. A fitted constant is therefore the value at the average time, the average
-temperature and the average rate of change of the whole test. It has the same meaning for outputs that use only some of the
-segments.
+temperature and the average rate of change of the whole test. The constant has the same meaning for outputs that use only some of
+the segments.
 """
 
 from __future__ import annotations
@@ -222,7 +222,7 @@ def _centred(values: Array, seconds: Array) -> Array:
 
 
 def recorded_thermometer(segments: Sequence[RecordedSegment], channel: str | None, by_evidence: bool) -> str | None:
-    """Returns the thermometer among the channels that all segments record. It is chosen as in `thermometer_of`."""
+    """Returns the thermometer among the channels that all segments record. The thermometer is chosen as in `thermometer_of`."""
     return thermometer_of(_common(segments), channel, by_evidence)
 
 

@@ -274,8 +274,8 @@ def pooled_noise(error: Array, seconds: Array, freedom: Array) -> WithinSegmentN
 
 
 def _left(variance: Array, explained: Array | float) -> Array:
-    """Returns the standard uncertainties (n,) after the explained part of the variance has been subtracted. They are at least one
-    hundredth of the standard uncertainties before the subtraction."""
+    """Returns the standard uncertainties (n,) after the explained part of the variance has been subtracted. The results are at
+    least one hundredth of the standard uncertainties before the subtraction."""
     return np.sqrt(np.maximum(variance - explained, _LEAST**2 * variance))
 
 

@@ -6,12 +6,12 @@ division into blocks, and memory does not grow with the data. For most pieces, a
 change between neighbours is examined further.
 
 *Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it (the
-identifier of Hampel, 1985). The factor g depends on the number of samples. It is chosen so that a sample of white Gaussian noise is
-an outlier with the probability `CHANCE` (Davies and Gather, "The Identification of Multiple Outliers", J. Am. Stat. Assoc. 88
-(1993) 782-792). The local median follows the motion, so that a turning or rocking sensor is compared with its own motion. The scale
-is the median absolute deviation from the local median (Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation", ibid.
-1273-1283). The median absolute deviation is zero if more than half of the samples have one value. The scale therefore has three
-lower limits: a trimmed mean of the deviations, half a count, and a part of the usual change from sample to sample.
+identifier of Hampel, 1985). The factor g depends on the number of samples. The factor is chosen so that a sample of white Gaussian
+noise is an outlier with the probability `CHANCE` (Davies and Gather, "The Identification of Multiple Outliers", J. Am. Stat. Assoc.
+88 (1993) 782-792). The local median follows the motion, so that a turning or rocking sensor is compared with its own motion. The
+scale is the median absolute deviation from the local median (Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation",
+ibid. 1273-1283). The median absolute deviation is zero if more than half of the samples have one value. The scale therefore has
+three lower limits: a trimmed mean of the deviations, half a count, and a part of the usual change from sample to sample.
 
 *Stuck.* Runs of equal samples are compared with the other runs of the same segment. A run is stuck if it is more than `RUN` times
 as long as 99 % of the others, and if the noise of the segment would have moved its samples to another count. A smooth signal, or a
@@ -393,7 +393,7 @@ class Screening:
                 self._look_at_filled()
 
     def finds(self) -> tuple[Find, ...]:
-        """Returns all findings, in order of time. It must be called once, after the last samples."""
+        """Returns all findings, in order of time. The method must be called once, after the last samples."""
         if self.filled:
             self._look_at_filled()
         self._examine_waiting()
@@ -590,7 +590,7 @@ class Screening:
     def _changes_around(self, x: Array, changes: Array, places: RowNumbers, noise: float) -> Array:
         """Returns the mean change from sample to sample around each of the samples x[places]. In a segment of turns and stops, the
         mean is taken over a short time. A change to a single sample and back again is subtracted, because it is not part of a turn.
-        Changes on one side of a sample do not count if they belong to a turn. They belong to a turn if the samples on the other
+        Changes on one side of a sample do not count if they belong to a turn. Changes belong to a turn if the samples on the other
         side, and the next two samples on this side, lie on one level. `x`: array of shape (n,). `changes`: array of shape (n - 1,),
         absolute differences of x. `noise`: largest distance from a level that noise can cause."""
         padded = np.append(changes, changes[-1])
@@ -802,8 +802,8 @@ def _numbers(rows: Numbered) -> RowNumbers:
 
 
 def _as_one(finds: Sequence[Find]) -> list[Find]:
-    """Combines findings into one. It is used for findings that are too many to be outliers: their samples belong to the noise, so
-    the combined finding does not count as bad."""
+    """Combines findings into one. The combination is used for findings that are too many to be outliers: their samples belong to
+    the noise, so the combined finding does not count as bad."""
     if not finds:
         return []
     largest = max(finds, key=lambda one: abs(one.size))

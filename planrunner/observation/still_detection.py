@@ -151,8 +151,8 @@ def _sliding_variance(values: Array, length: int) -> Array:
 
 @dataclass
 class _Growing:
-    """A still span that has not ended yet. It stores sums over batches of `size` samples. When there are too many batches, pairs of
-    batches are combined."""
+    """A still span that has not ended yet. The span stores sums over batches of `size` samples. When there are too many batches,
+    pairs of batches are combined."""
 
     size: int
     period: float

@@ -131,8 +131,8 @@ class Monitors:
         return [one for one in (self.thermometer, self.voltmeter, self.barometer) if one is not None]
 
     def excess_of(self, item: RecordedSegment, time: Array, table: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns the overvoltage and the overpressure at the n samples of a segment. They are computed from smoothed recorded
-        values if there are any."""
+        """Returns the overvoltage and the overpressure at the n samples of a segment. The values are computed from smoothed
+        recorded values if there are any."""
         planned = planned_excess(item.segment, self.nominal_supply)
         found = {}
         for name, channel, reference, stated in (

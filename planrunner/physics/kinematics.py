@@ -187,7 +187,7 @@ def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
     """Returns the time [s] of a move from rest to rest with a trapezoidal rate profile.
 
     With the acceleration a, the table reaches the rate w after the time w/a; by then, it has turned by w²/2a. A move with |angle| <
-    w²/a therefore does not reach w. Its rate profile is a triangle, and it takes the time 2·√(|angle|/a).
+    w²/a therefore does not reach w. The rate profile of such a move is a triangle, and the move takes the time 2·√(|angle|/a).
     """
     distance = abs(angle)
     if distance < max_rate**2 / max_acceleration:

@@ -1,4 +1,4 @@
-"""Computes the input of a sensor that is moved without commands. It is determined by the recorded channels that show the motion.
+"""Computes the input of a sensor that is moved without commands. The recorded channels that show the motion determine this input.
 
 The sensor is moved by hand, by a vehicle, or by a jig without a drive. An encoder, an attitude reference, or other gyros and
 accelerometers on the same body measure the motion. Derivatives are computed from differences between neighbouring samples. The mean
@@ -52,8 +52,8 @@ def averaged(values: Array, size: int) -> Array:
 
 
 def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
-    """Computes the motion from unit quaternions (n, 4), real part first. They transform vectors from the sensor's axes to
-    East-North-Up. `force`: array of shape (n, 3), measured specific force; by default, the specific force of a sensor that only
+    """Computes the motion from unit quaternions (n, 4), real part first. The quaternions transform vectors from the sensor's axes
+    to East-North-Up. `force`: array of shape (n, 3), measured specific force; by default, the specific force of a sensor that only
     rotates."""
     from scipy.spatial.transform import Rotation
 

@@ -153,7 +153,7 @@ class RotationCycle:
 
 @cache
 def _gauss_legendre() -> tuple[Array, Array]:
-    """Returns the ten nodes of the Gauss–Legendre quadrature, and their weights. They are cached, because numpy must load its
+    """Returns the ten nodes of the Gauss–Legendre quadrature, and their weights. The nodes are cached, because numpy must load its
     polynomials to compute them, and few plans need them."""
     return np.polynomial.legendre.leggauss(10)
 

@@ -81,8 +81,8 @@ def once_per_turn(motion: Spin, attitude: Array, vector: Array) -> Array:
 
 
 def along_axis(motion: Spin, attitude: Array, vector: Array) -> Array:
-    """Returns the part of a site vector along the axis of the table, seen in sensor axes (3,). It does not change while the table
-    turns."""
+    """Returns the part of a site vector along the axis of the table, seen in sensor axes (3,). This part does not change while the
+    table turns."""
     about = np.asarray(motion.about, dtype=float)
     return np.asarray(attitude @ ((about @ vector) * about))
 
@@ -128,9 +128,9 @@ def period_of(motion: Motion) -> float:
 
 
 def fading(motion: Motion, size: int, rate: float) -> float:
-    """Returns the factor by which averaging over a bin of `size` samples reduces the rate of a rocking table. It is Dirichlet's
-    kernel sin(k·x)/(k·sin x), where k = `size` and x is half of the phase step [rad] between samples. `rate`: number of samples per
-    second."""
+    """Returns the factor by which averaging over a bin of `size` samples reduces the rate of a rocking table. The factor is
+    Dirichlet's kernel sin(k·x)/(k·sin x), where k = `size` and x is half of the phase step [rad] between samples. `rate`: number of
+    samples per second."""
     if size == 1 or not isinstance(motion, Rock):
         return 1.0
     half = np.pi * motion.frequency / rate

@@ -80,8 +80,8 @@ _DECISIVE = tuple(name for name, traits in STATE_TRAITS.items() if traits.decisi
 
 
 def _count(spec: SegmentSpec) -> int:
-    """Returns the number of segments that one entry of `segments` makes. It includes segments that will be omitted later, because
-    the expansion also processes them."""
+    """Returns the number of segments that one entry of `segments` makes. The number includes segments that will be omitted later,
+    because the expansion also processes them."""
     own = spec.repeat * (spec.for_each.size if spec.for_each else 1)
     return own * (sum(_count(step) for step in spec.steps) or 1)
 

@@ -389,8 +389,8 @@ class Origin:
         self.meant = meant
 
     def __getstate__(self) -> dict[str, object]:
-        """Returns the state for pickling. It does not contain the nodes, because these contain marks of the parser, which cannot be
-        pickled."""
+        """Returns the state for pickling. The state does not contain the nodes, because nodes contain marks of the parser, which
+        cannot be pickled."""
         return {"_node": None, "broken": self.broken, "meant": dict(self.meant), "mark": self.mark, "keys": self.keys}
 
     @cached_property
@@ -648,7 +648,8 @@ class Plugin(Protocol):
 class Plugged:
     """Reads a record with additional keys that belong to a plug-in. The value of the key `selector` names the plug-in.
 
-    The keys of the plug-in are in the same mapping as the common keys. They are read into the field `parameters` of the record.
+    The keys of the plug-in are in the same mapping as the common keys. The keys of the plug-in are read into the field `parameters`
+    of the record.
     """
 
     record: type[Record]

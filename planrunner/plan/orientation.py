@@ -73,8 +73,8 @@ def _pointing(row: Matrix | Direction, tolerance: float = 1e-9) -> str:
 
 
 def rotation(axis: int, angle: float) -> Matrix:
-    """Returns the matrix R of a rotation by `angle` [rad] about the sensor's axis 0, 1 or 2. It converts components in the old axes
-    to components in the rotated axes: v_new = R @ v_old."""
+    """Returns the matrix R of a rotation by `angle` [rad] about the sensor's axis 0, 1 or 2. The matrix converts components in the
+    old axes to components in the rotated axes: v_new = R @ v_old."""
     c, s = math.cos(angle), math.sin(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
     result = np.eye(3)

@@ -81,7 +81,7 @@ class Quantity:
 
 
 class QuantityError(ValueError):
-    """Reports that a text is not a quantity. It has a `code`, a message and a hint."""
+    """Reports that a text is not a quantity. The exception has a `code`, a message and a hint."""
 
     def __init__(self, code: str, message: str, hint: str = ""):
         super().__init__(message)
@@ -170,7 +170,7 @@ def parse_signed(text: str, dimension: str | None) -> list[Quantity]:
 
 
 def is_symmetric(text: str) -> bool:
-    """Returns True if a text has the form `SYMMETRIC`. Its unit is not checked."""
+    """Returns True if a text has the form `SYMMETRIC`. The unit is not checked."""
     signed = _SIGNED.fullmatch(text)
     parts = _parts(signed[2]) if signed else None
     return parts is not None and parts[3] is None

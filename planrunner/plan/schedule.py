@@ -33,8 +33,8 @@ class Rock:
     """Sinusoidal rocking of the table's rings: angle_i = amplitude·sin(2π·frequency·(t − steady) + phases[i]) [rad], where t is the
     time since the record began [s].
 
-    The rocking has its full amplitude for `duration` s. It fades in during the period that ends at `steady`, and fades out during
-    the period that begins at `steady` + `duration`. `phases`: one phase for each ring, the outermost first. `delay`: time at rest
+    The rocking has its full amplitude for `duration` s. The rocking fades in during the period that ends at `steady`, and fades out
+    during the period that begins at `steady` + `duration`. `phases`: one phase for each ring, the outermost first. `delay`: time at rest
     at the beginning of the record, s; if it is zero, the rocking fades in before the record begins.
     """
 
@@ -148,7 +148,7 @@ class Segment:
     """One state to reach and hold while recording.
 
     `attitude`: array of shape (3, 3), attitude at the start of the motion; its rows are the sensor's x, y, z axes in East-North-Up of the
-        site, so that v_sensor = attitude @ v_site. None if the plan says `unknown`.
+        site, so that v_sensor = attitude @ v_site. `attitude` is None if the plan states `unknown`.
     `temperature`: stated temperature [K]; None for a ramp.
     `ramp_to`: temperature [K] at the end of a ramp; None if the temperature does not ramp.
     `kept_temperature`: temperature [K] at which the chamber has kept the sensor since an earlier segment. None if no earlier

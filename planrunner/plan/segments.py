@@ -18,8 +18,9 @@ rule:
 - any other quantity has a sign only below zero, as engineers usually write it (`20degC`, `-40degC`);
 - zero has no sign (`R0`).
 
-An alternative would be signs only in sweeps that contain both signs. It was rejected because of two changes of names: `20degC`
-would be renamed when -40 degC is added, and `R+10` would become `R10` when a design splits a sweep into one sweep for each rate.
+An alternative would be signs only in sweeps that contain both signs. This alternative was rejected because of two changes of names:
+`20degC` would be renamed when -40 degC is added, and `R+10` would become `R10` when a design splits a sweep into one sweep for each
+rate.
 """
 
 from __future__ import annotations

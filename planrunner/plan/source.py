@@ -54,7 +54,8 @@ class Written:
 
 
 class Position(Protocol):
-    """States a position in a text. It has the same attributes as a mark of the YAML parser. Lines and columns count from 0."""
+    """States a position in a text. The class has the same attributes as a mark of the YAML parser. Lines and columns count from
+    0."""
 
     @property
     def line(self) -> int: ...
@@ -195,8 +196,8 @@ def load(path: Path, shown: str | None = None, log: Findings | None = None) -> M
 def parse(text: str, file: str, log: Findings | None = None) -> Mapping:
     """Parses the mapping in `text`. `file`: file name that findings state.
 
-    Raises `InputError` if the text is not a mapping that can be read. Some faults, such as duplicate keys, leave the rest readable.
-    If `log` is given, findings about such faults are added to it, and no exception is raised.
+    Raises `InputError` if the text is not a mapping that can be read. After some faults, such as duplicate keys, the rest of the
+    text can still be read. If `log` is given, findings about such faults are added to it, and no exception is raised.
     """
     if forbidden := _forbidden(text):
         raise _not_allowed(forbidden[0], _mark_at(text, forbidden.start(), file))

@@ -15,8 +15,8 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
 ROUNDING = 1e-3
-"""Largest distance from a boundary, as a fraction of the sample period, at which a time stamp counts as on the boundary. It allows
-for rounded boundaries, and for time stamps that were converted from other units to seconds."""
+"""Largest distance from a boundary, as a fraction of the sample period, at which a time stamp counts as on the boundary. The
+tolerance allows for rounded boundaries, and for time stamps that were converted from other units to seconds."""
 
 
 @dataclass(frozen=True, slots=True)

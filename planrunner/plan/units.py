@@ -112,7 +112,7 @@ class Unit:
 
 
 class UnknownUnitError(ValueError):
-    """Reports that a text is not a unit. Its message explains the fault to the user."""
+    """Reports that a text is not a unit. The message explains the fault to the user."""
 
 
 _DEG = math.pi / 180

@@ -379,7 +379,8 @@ def _gap(found: Data) -> Table:
 
 
 def _closure(found: Data) -> Table:
-    """Returns a table of the gap without and with the effect. It has one row for each channel whose data determine the gap."""
+    """Returns a table of the gap without and with the effect. The table has one row for each channel whose data determine the
+    gap."""
     columns: tuple[Shown[Data], ...] = (
         Shown(TableColumn("Channel"), lambda one: one["channel"]),
         Shown(TableColumn("before [σ]", Role.VALUE), lambda one: _short(one["before"])),

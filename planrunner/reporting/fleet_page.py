@@ -204,8 +204,8 @@ def _attribution(found: Data) -> Table:
 
 
 def _share(amplitude: Data, source: str) -> str:
-    """Returns the share of a source in an amplitude, in percent. It is marked as an upper bound if other sources group the runs in
-    the same way."""
+    """Returns the share of a source in an amplitude, in percent. The share is marked as an upper bound if other sources group the
+    runs in the same way."""
     one = next(one for one in amplitude["contributions"] if source in one["sources"])
     shown = f"{100 * one['share']:.0f} %"
     return shown if len(one["sources"]) == 1 else f"≤ {shown}"

@@ -136,9 +136,9 @@ def _draw_courses(axes: Axes, plot: Plot) -> None:
 
 
 def thinned(values: Array) -> NDArray[np.intp]:
-    """Returns the indices of the values of a curve that are drawn. The curve has n values. A curve of up to `MOST_POINTS` values is drawn
-    completely. A longer curve is divided into many equal intervals. Its first and last value are drawn, and the lowest, the highest
-    and the first non-finite value of each interval, so that no peak and no gap is lost."""
+    """Returns the indices of the values of a curve that are drawn. The curve has n values. A curve of up to `MOST_POINTS` values is
+    drawn completely. A longer curve is divided into many equal intervals. Only some values are drawn: the first and last value of
+    the curve, and the lowest, the highest and the first non-finite value of each interval. Thus, no peak and no gap is lost."""
     if len(values) <= MOST_POINTS:
         return np.arange(len(values))
     kept = {0, len(values) - 1}

@@ -78,8 +78,8 @@ class PrintableStream(io.TextIOBase):
 
 
 def beneath(stream: TextIO) -> TextIO:
-    """Returns the underlying stream, whose output reaches the terminal unchanged. It is used for colours and for text that is
-    already printable."""
+    """Returns the underlying stream, whose output reaches the terminal unchanged. This stream is used for colours and for text that
+    is already printable."""
     return stream.stream if isinstance(stream, PrintableStream) else stream
 
 

@@ -40,8 +40,8 @@ class ReportError(Exception):
 
 
 def available(folder: Path | None = None) -> tuple[str, ...]:
-    """Returns the names of the available reports. The name of a report is that of a template in one of the folders, without the
-    extension `.j2`, or `name.LANGUAGE.html` for a translated report."""
+    """Returns the names of the available reports. The name of a report is the name of a template in one of the folders, without the
+    extension `.j2`. For a translated report, it is `name.LANGUAGE.html`."""
     found = {path.name.removesuffix(ENDING) for root in _roots(folder) for path in root.glob("*" + ENDING)}
     for name in TRANSLATED:
         stem, _, ending = name.partition(".")

@@ -1,4 +1,5 @@
-"""The page of a design study: facts, notes, tables, orientations and curves. Its template is `templates/design.html.j2`."""
+"""The page of a design study: facts, notes, tables, orientations and curves. The template of the page is
+`templates/design.html.j2`."""
 
 from __future__ import annotations
 

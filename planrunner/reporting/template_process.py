@@ -1,5 +1,5 @@
-"""Is the child process that renders a user's template. It reads a request from standard input, limits its own resources, and
-answers with JSON.
+"""Is the child process that renders a user's template. The process reads a request from standard input, limits its own resources,
+and answers with JSON.
 
 A thread limits the computing time, and finds which line of the template is being rendered. In addition, limits of the operating
 system are set where they exist (Linux, partly macOS). These limits restrict time and memory, and prevent writing files and starting
@@ -51,7 +51,8 @@ def _answer(answer: dict[str, str]) -> None:
 
 
 def _import_what_is_needed() -> None:
-    """Imports the modules that rendering needs. It is called before the limits are set, so that an import cannot exceed them."""
+    """Imports the modules that rendering needs. The function is called before the limits are set, so that an import cannot exceed
+    them."""
     import jinja2.ext
     import jinja2.sandbox
     import markupsafe
@@ -82,8 +83,8 @@ def _watch(name: str, seconds: float) -> None:
 
 
 def _place(frame: FrameType | None) -> str | None:
-    """Returns the position, as `template:line`, in the innermost template in the call stack of a frame. It is found in the same way
-    as in jinja2.debug."""
+    """Returns the position, as `template:line`, in the innermost template in the call stack of a frame. The position is found in
+    the same way as in jinja2.debug."""
     while frame is not None:
         template = frame.f_globals.get("__jinja_template__")
         if template is not None:

@@ -25,7 +25,7 @@ MAX_SECONDS = 30.0
 MAX_MEMORY = 1 << 30
 """Maximum memory for a user's template in bytes, including the program that renders it."""
 PATIENCE = 10
-"""Multiple of `MAX_SECONDS` after which the parent process ends the child process. It allows for a busy computer."""
+"""Multiple of `MAX_SECONDS` after which the parent process ends the child process. The multiple allows for a busy computer."""
 
 
 def render(name: str, given: Mapping[str, Json], folder: Path | None = None) -> str:

@@ -258,7 +258,7 @@ def readable(name: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """Contains SVG that this program makes, and that is therefore not escaped. It is drawn only when a template shows it."""
+    """Contains SVG that this program makes, and that is therefore not escaped. The SVG is drawn only when a template shows it."""
 
     draw: Callable[[], str]
 
@@ -282,8 +282,8 @@ MODULE = 2
 
 
 def seal_code(digest: str) -> str:
-    """Returns a QR code of a digest as inline SVG. It is black on white in every colour scheme. The alternative text is in the
-    page, not in the SVG."""
+    """Returns a QR code of a digest as inline SVG. The code is black on white in every colour scheme. The alternative text is in
+    the page, not in the SVG."""
     import segno
 
     code = segno.make(PREFIX + digest, error="m", micro=False)

@@ -6,8 +6,8 @@ SHA-256 digest of the canonical meaning of the plan without its bench (`procedur
 of the bench's meaning without the required approvals (`equipment_of`). A withdrawal is a statement of the same form that names
 earlier approvals.
 
-For every approval, `judged` determines whether it counts under the rule of a bench and, if it does not, the reason. It reads no
-files and needs no private key.
+For every approval, `judged` determines whether it counts under the rule of a bench and, if it does not, the reason. The function
+reads no files and needs no private key.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def _signed(kind: str, subjects: Mapping[str, str], predicate: JsonObject, signe
 
 
 def read_stated(file: str, data: bytes) -> ApprovalRecord:
-    """Reads the approval or withdrawal in a file. Its signature is not checked here."""
+    """Reads the approval or withdrawal in a file. The signature is not checked here."""
     try:
         envelope = parse_envelope(data, PAYLOAD)
     except EnvelopeError as error:
@@ -200,7 +200,8 @@ def _withdrawal(file: str, envelope: Envelope, statement: JsonObject) -> StatedW
 
 
 def payload_digest(envelope: Envelope) -> str:
-    """Returns the SHA-256 of the signed content of an approval. It identifies the approval independently of the approval's file."""
+    """Returns the SHA-256 of the signed content of an approval. The digest identifies the approval independently of the approval's
+    file."""
     return hashlib.sha256(envelope.payload).hexdigest()
 
 

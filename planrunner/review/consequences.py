@@ -200,7 +200,7 @@ _EXTREMES = {"rate": _rate, "hottest": _hottest, "coldest": _coldest}
 
 
 def _findings(before: Sequence[Finding], after: Sequence[Finding]) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
-    """Returns the findings that are only in `after`, and the findings that are only in `before`. They are compared by severity,
+    """Returns the findings that are only in `after`, and the findings that are only in `before`. Findings are compared by severity,
     code and message. Positions are ignored, because an edit elsewhere in a file moves them."""
     old, new = (
         Counter[tuple[str, str, str]]((one.severity, one.code, one.message) for one in findings)

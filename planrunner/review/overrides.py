@@ -62,7 +62,7 @@ def override_envelope(what: Overridden, signer: Signer, signed: datetime) -> Env
 
 
 def read_override(data: bytes) -> StatedOverride | None:
-    """Reads the override in a file; returns None if the file does not have the form of an override of planrunner. Its signature is
+    """Reads the override in a file; returns None if the file does not have the form of an override of planrunner. The signature is
     not checked here."""
     try:
         envelope = parse_envelope(data, PAYLOAD)

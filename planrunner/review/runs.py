@@ -8,9 +8,9 @@ the contributions of the common input i in runs 1 and 2. The standard uncertaint
     u² = u₁² + u₂² − 2·Σ (c₁ᵢuᵢ)(c₂ᵢuᵢ)                 (JCGM 100:2008, 5.2.2, equation 16, with r = 1)
 
 An input is common if both budgets state, as type B, the same quantity with the same value, uncertainty and source. p is the
-two-sided probability of a larger difference if the sensor has not changed. It is computed from Student's t with the effective
-degrees of freedom of the contributions that are not common (Welch-Satterthwaite, G.4). Holm's correction (Scandinavian Journal of
-Statistics 6, 1979) allows for the number of coefficients compared.
+two-sided probability of a larger difference if the sensor has not changed. The probability p is computed from Student's t with the
+effective degrees of freedom of the contributions that are not common (Welch-Satterthwaite, G.4). Holm's correction (Scandinavian
+Journal of Statistics 6, 1979) allows for the number of coefficients compared.
 """
 
 from __future__ import annotations

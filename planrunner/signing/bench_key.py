@@ -45,9 +45,9 @@ def keys_folder() -> Path:
 
 
 def bench_signer(public: PublicKey) -> Signer:
-    """Returns the private key that belongs to a public key. It comes from the folder of signing keys or, if it is not there, from
-    the ssh-agent. Nothing is signed, and the user is not asked for anything. Raises `BenchKeyError` if neither the folder nor the
-    agent has the key."""
+    """Returns the private key that belongs to a public key. The private key comes from the folder of signing keys or, if it is not
+    there, from the ssh-agent. Nothing is signed, and the user is not asked for anything. Raises `BenchKeyError` if neither the
+    folder nor the agent has the key."""
     found, why = _of_files(public)
     if found is not None:
         return found

@@ -209,8 +209,8 @@ _OF_SMALL_ORDER = frozenset(
         "ee" + "ff" * 30 + "7f",
     )
 )
-"""Encodings of the points of order 1, 2, 4 and 8, without the sign bit. They are refused as public keys, although RFC 8032 does not
-exclude them."""
+"""Encodings of the points of order 1, 2, 4 and 8, without the sign bit. These points are refused as public keys, although RFC 8032
+does not exclude them."""
 
 
 def _read(path: Path) -> bytes:

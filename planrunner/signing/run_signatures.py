@@ -91,10 +91,10 @@ def signing_of(found: Examined) -> BenchSigning:
 class RunSignature:
     """One signature of a run.
 
-    `file`: name of the file in `signatures/`. `standing`: the result of the check. It is `unknown key` if no key ring was given or
-    if the ring lacks the key; all other values are then only claims. `why`: the reason why the signature is not valid; empty if it
-    is valid. `owner`: the name of the key in the ring. `name`, `signed`, `comment`, `result`: what the signer states. `signed` is
-    the time of signing in UTC, ISO
+    `file`: name of the file in `signatures/`. `standing`: the result of the check. `standing` is `unknown key` if no key ring was
+    given or if the ring lacks the key; all other values are then only claims. `why`: the reason why the signature is not valid;
+    empty if it is valid. `owner`: the name of the key in the ring. `name`, `signed`, `comment`, `result`: what the signer states.
+    `signed` is the time of signing in UTC, ISO
     8601. `analyses`: numbers of the analyses that the signature covers. `current`: True if the signature covers the present seal;
           False if a bench made it for a seal that the run had before it was reopened.
     """

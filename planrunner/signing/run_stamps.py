@@ -36,8 +36,9 @@ class RunStamp:
     """One time stamp of a run.
 
     `events`: number of events in the stamped part of the journal; None for a stamp of the seal. `time`: the time that the authority
-    states, UTC, ISO 8601; empty if it cannot be read. `standing`: the result of the check. It is `unknown authority` if only the
-    certificate in the bench file of the run verifies the stamp. `why`: the reason why the stamp is not valid; empty if it is valid.
+    states, UTC, ISO 8601; empty if it cannot be read. `standing`: the result of the check. `standing` is `unknown authority` if
+    only the certificate in the bench file of the run verifies the stamp. `why`: the reason why the stamp is not valid; empty if it
+    is valid.
     """
 
     file: str

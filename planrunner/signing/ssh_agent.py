@@ -39,7 +39,8 @@ class AgentKey:
 
 
 def holds(key: PublicKey) -> bool:
-    """Returns True if the agent at SSH_AUTH_SOCK has this key in its list (section 3.5). It does not request a signature."""
+    """Returns True if the agent at SSH_AUTH_SOCK has this key in its list (section 3.5). The function does not request a
+    signature."""
     try:
         reply = _answer(bytes([LIST_REQUEST]), LISTING)
     except InputError:

@@ -266,8 +266,8 @@ class Acutrol:
     # -- axes ----------------------------------------------------------------------------------------------------------
 
     def _mode(self, index: int) -> str:
-        """Returns the actual mode of an axis. It can differ from the commanded mode, because an axis that a fault has stopped has
-        no mode."""
+        """Returns the actual mode of an axis. The actual mode can differ from the commanded mode, because an axis that a fault has
+        stopped has no mode."""
         axis = self.plant.axes[index]
         if axis.faults:
             return "abort"

@@ -20,7 +20,7 @@ class Controller(Protocol):
         """Returns delayed replies that have become due since the last call; empty for instruments that reply at once."""
 
     def watch(self) -> None:
-        """Checks the limits of the instrument. It is called many times per second."""
+        """Checks the limits of the instrument. The method is called many times per second."""
 
 
 def first_with(word: str, options: tuple[str, ...]) -> str:

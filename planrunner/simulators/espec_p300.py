@@ -1,5 +1,5 @@
-"""A simulated Espec P300 / SCP220 chamber controller. It answers every message with `OK:` and the command, or with `NA:` and the
-reason."""
+"""A simulated Espec P300 / SCP220 chamber controller. The controller answers every message with `OK:` and the command, or with
+`NA:` and the reason."""
 
 from __future__ import annotations
 

@@ -187,8 +187,8 @@ class FaultBoard:
         return self.declared
 
     def clear(self, number: int | None = None) -> None:
-        """Ends the fault with this number or, if no number is given, all faults. They end immediately, even before their planned
-        end."""
+        """Ends the fault with this number or, if no number is given, all faults. The faults end immediately, even before their
+        planned end."""
         for item in self.standing.values():
             if number in (None, item.number):
                 item.ends = float("-inf")

@@ -1,7 +1,7 @@
 """Makes simulated instruments at the addresses of a bench file. The bench file names a virtual bench in the key `simulation`. Each
 instrument of this virtual bench uses the protocol of the driver that has the same role in the bench file.
 
-A simulation uses only the name of a driver and its keys in the bench file. It has no code in common with the driver.
+A simulation uses only the name of a driver and its keys in the bench file. The simulation has no code in common with the driver.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class MessagePort:
                 self._answer(piece.decode("ascii", "replace"), write, hang_up)
 
     def say_later(self) -> None:
-        """Sends delayed replies that have become due. They go to the client that sent the last message."""
+        """Sends delayed replies that have become due. The replies go to the client that sent the last message."""
         for reply in self.controller.later():
             if self.last_speaker is not None:
                 self.last_speaker(self.manner.framed(reply))

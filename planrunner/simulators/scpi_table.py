@@ -16,8 +16,8 @@ _NOTHING = '0,"No error"'
 
 
 class ScpiTable:
-    """A simulated table with SCPI-like commands. Its axes are numbered from 1, and its angles are in degrees. An unknown or
-    impossible command adds an error to the queue."""
+    """A simulated table with SCPI-like commands. The axes of the table are numbered from 1, and angles are in degrees. An unknown
+    or impossible command adds an error to the queue."""
 
     def __init__(self, plant: TablePlant, identity: str = "Example,One-axis table,simulated,1.0"):
         self.plant = plant

@@ -186,8 +186,8 @@ class Serving:
         raise ValueError("a request must be one of ask, inject, clear and stop")
 
     def state(self) -> Mapping[str, Json]:
-        """Returns the true present state, for tests of a run. It contains joint angles and rates [rad, rad/s]; the temperature of
-        the air, its target and the setpoint [K]; faults; and the counts of the serial line."""
+        """Returns the true present state, for tests of a run. The state contains joint angles and rates [rad, rad/s]; the
+        temperature of the air, its target and the setpoint [K]; faults; and the counts of the serial line."""
         told: JsonObject = {"now": self.live.now(), "faults": self.board.told()}
         if self.live.table is not None:
             angles, rates = self.live.world.joints(self.live.now())
@@ -209,8 +209,8 @@ class Serving:
 
 
 def ready_note(serving: Serving) -> str:
-    """Returns the content of the readiness file, as JSON. It includes the token, so only users who can read the file can use the
-    token."""
+    """Returns the content of the readiness file, as JSON. The content includes the token, so only users who can read the file can
+    use the token."""
     control = f"{serving.control.host}:{serving.control.port}"
     note = {
         "pid": os.getpid(),

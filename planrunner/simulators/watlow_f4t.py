@@ -19,7 +19,7 @@ _ACTIONS = ("OFF", "STARTUP", "SETPOINT", "BOTH")
 
 
 class WatlowF4t:
-    """Control loop 1 and output 1 of a simulated chamber. It ignores messages that it does not understand."""
+    """Control loop 1 and output 1 of a simulated chamber. The chamber ignores messages that it does not understand."""
 
     def __init__(self, plant: ChamberPlant, identity: str = "WATLOW,F4T,simulated,4.07"):
         self.plant = plant

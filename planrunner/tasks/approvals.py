@@ -275,8 +275,8 @@ def still_approved(
 def _renewals(
     state: JournalState,
 ) -> list[tuple[datetime, tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]]]:
-    """Returns one tuple for each time at which a run was continued with further approvals. It contains the time, these approvals,
-    and the journal entries that cannot be read as approvals."""
+    """Returns one tuple for each time at which a run was continued with further approvals. Each tuple contains the time, these
+    approvals, and the journal entries that cannot be read as approvals."""
     return [(datetime.fromisoformat(at), entries_of(given)) for at, given in state.renewals]
 
 

@@ -10,8 +10,8 @@ from planrunner.plan.kinds import Record, keys_of
 from planrunner.plan.span import Span
 
 POSES = 9
-"""Number of poses that a calibration from the magnitude of gravity needs. It determines three biases, three scale factors and three
-angles."""
+"""Number of poses that a calibration from the magnitude of gravity needs. Such a calibration determines three biases, three scale
+factors and three angles."""
 LEAST_POSES, LEAST_RESTS = 2, 4
 """Smallest numbers of poses and of intervals at rest that a diagnosis can compare."""
 STILL = 0.9

@@ -164,7 +164,7 @@ def check_plan(
     today: date | None = None,
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Checked:
-    """Makes all checks of a plan before it runs. It raises no error, whatever the files contain.
+    """Makes all checks of a plan before it runs. The function raises no error, whatever the files contain.
 
     `plan_file`: path of the plan file, or its contents as a `Document`. If `plan_file` is a `Document`, a bench that it names is
     searched for relative to the name of the `Document`. Approvals are searched for only if `plan_file` is a path, and then next to

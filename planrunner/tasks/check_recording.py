@@ -21,8 +21,8 @@ from planrunner.tasks.check import Checked, Sound
 
 
 def check_recording(checked: Checked, data_root: Path, notice: Announce | None = None) -> None:
-    """Adds findings about the recording that the bench of a plan plays back. It does nothing if the bench plays back no recording.
-    `notice`: receives the progress. It raises no error, whatever the files contain."""
+    """Adds findings about the recording that the bench of a plan plays back. If the bench plays back no recording, no findings are
+    added. `notice`: receives the progress. The function raises no error, whatever the files contain."""
     bench, models, log = checked.bench, checked.models, checked.findings
     if bench is None or models is None:
         return

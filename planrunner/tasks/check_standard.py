@@ -53,8 +53,8 @@ def override_file(bench_file: Path) -> Path:
 
 
 def sign_override(bench: Bench, override: Override, until: date, signer: Signer) -> Path:
-    """Signs an override of the check standard of a bench and writes it next to the bench file. It replaces an earlier override.
-    Raises `InputError` if the override is not valid for runs now."""
+    """Signs an override of the check standard of a bench and writes it next to the bench file. The new override replaces an earlier
+    one. Raises `InputError` if the override is not valid for runs now."""
     rule = bench.check_standard
     if rule is None or bench.approvals is None:
         message = f"bench '{bench.name}' needs `check_standard`, and `approvals` with a key ring, for a signed override"

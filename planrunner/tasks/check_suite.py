@@ -122,7 +122,7 @@ def bench_file(suite: Suite, file: str, name: str) -> str:
 def check_suite(
     file: Path | Document, *, at: str | None = None, workers: Workers | None = None, archive: Path | None = None
 ) -> CheckedSuite:
-    """Makes all checks of a suite before a night. It raises no error, whatever the files contain.
+    """Makes all checks of a suite before a night. The function raises no error, whatever the files contain.
 
     `at`: the earliest local time at which the night may begin, in the time zone of the suite (ISO 8601); by default, now.
     `workers`: processes that share the checks of the plans; by default, processes on this computer. `archive`: folder with the runs
@@ -277,8 +277,8 @@ def _check_plans(checked: CheckedSuite, suite: Suite, workers: Workers) -> None:
 
 
 def _of_variant(finding: Finding, test: PlannedTest) -> Finding:
-    """Returns a finding about a plan, with the values of the plan's parameters added to the text of the finding. They are added
-    because the finding may not occur with other values."""
+    """Returns a finding about a plan, with the values of the plan's parameters added to the text of the finding. The values are
+    added because the finding may not occur with other values."""
     values = ", ".join(f"{name} = {value}" for name, value in test.parameter_values.items())
     return replace(finding, message=f"{finding.message} (with {values})")
 

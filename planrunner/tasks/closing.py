@@ -2,8 +2,8 @@
 the plan is simulated again. The recording is then compared with two simulations: one without these effects and one with them. A
 recording that is played back is simulated with its recorded motion, without a bench.
 
-`close` repeats these steps: it subtracts the effects found from the recording, and diagnoses the remaining gap. It ends when no
-part of the remaining gap can be attributed to a named effect.
+`close` repeats these steps: it subtracts the effects found from the recording, and diagnoses the remaining gap. The command ends
+when no part of the remaining gap can be attributed to a named effect.
 """
 
 from __future__ import annotations

@@ -31,9 +31,9 @@ def design(
     workers: Workers = ALONE,
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Study:
-    """Makes the design study for the plan and the options. It designs positions if an estimate uses segments at rest. `workers`:
-    processes that share the search. `parameters`: values for parameters of the plan. Raises `InputError` with the findings about
-    the plan, and `EstimationError` if there is nothing to design."""
+    """Makes the design study for the plan and the options. The study designs positions if an estimate uses segments at rest.
+    `workers`: processes that share the search. `parameters`: values for parameters of the plan. Raises `InputError` with the
+    findings about the plan, and `EstimationError` if there is nothing to design."""
     checked = check_plan(plan, bench=bench, parameters=parameters)
     if asked.segment is None and (asked.rates or has_rates_alone(checked, asked.estimate)):
         return rates_study.study(design_rates(checked, asked, bench, workers), _subject(checked))

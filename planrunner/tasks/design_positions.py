@@ -189,9 +189,9 @@ class _Designer:
 
     @property
     def _decimals(self) -> int:
-        """Returns the number of decimals for angles [deg] in the orientations that are written to the plan. It is two if the table
-        can reach any attitude. It is larger if axes are missing or limited, because the table might then be unable to reach a
-        rounded orientation."""
+        """Returns the number of decimals for angles [deg] in the orientations that are written to the plan. The number is two if
+        the table can reach any attitude. It is larger if axes are missing or limited, because the table might then be unable to
+        reach a rounded orientation."""
         anywhere = len(self.axes) == 3 and all(axis.continuous for axis in self.axes)
         return DECIMALS if anywhere else 7
 

@@ -120,7 +120,8 @@ class FleetDiagnosis:
 
     @property
     def origin(self) -> DataOrigin:
-        """Returns the origin of the samples of all runs. It is simulated if the samples of at least one run are simulated."""
+        """Returns the origin of the samples of all runs. The origin is `simulated` if the samples of at least one run are
+        simulated."""
         found = {one.origin for one in self.verdicts}
         return next(one for one in ("simulated", "replayed", "measured") if one in found)
 

@@ -173,7 +173,7 @@ def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
 
 
 def _block(name: str, entry: Mapping[str, object], column: int) -> str:
-    """Returns a mapping as YAML text in block style. Its first line begins at the given column."""
+    """Returns a mapping as YAML text in block style. The first line of the text begins at the given column."""
     pad = "\n" + " " * (column + 2)
     lines = []
     for key, value in entry.items():

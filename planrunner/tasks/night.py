@@ -57,7 +57,7 @@ RESERVE = "reserve"
 DIAGNOSIS_LOG = "diagnosis.txt"
 """File in the folder `logs` that contains the traceback of a diagnosis with an internal error."""
 RESERVE_BYTES = 2**20
-"""Disk space in bytes that is reserved for the record of a night. It is released if the disk becomes full."""
+"""Disk space in bytes that is reserved for the record of a night. The space is released if the disk becomes full."""
 MOST_RECORD = 2**26
 CLOCK_TOLERANCE = 5.0
 """Largest adjustment of the computer's clock that is not reported, s."""

@@ -175,7 +175,7 @@ def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[floa
 def _ramps(
     recorded: Sequence[Segment], models: BenchModels, place: Array, warm: Sequence[float | None]
 ) -> Iterator[MenuEntry]:
-    """Yields temperature ramps during which samples are recorded. They start from the most frequent temperature."""
+    """Yields temperature ramps during which samples are recorded. The ramps start from the most frequent temperature."""
     if models.chamber is None:
         done = {(item.ramp_to, item.dwell) for item in recorded if item.ramp_to is not None}
         ramps = [(kelvin, dwell or 0.0) for kelvin, dwell in done]

@@ -105,8 +105,9 @@ def _seeded(sound: Sound) -> bool:
 
 
 def _on_top(reader: RunReader, segments: Sequence[SegmentSummary], analysis: str) -> Iterator[tuple[str, str]]:
-    """Yields the facts at the top of a report. They are the item, the operator, the date, and the duration from the first sample to
-    the last. The number of the analysis is added, with the number of analyses that existed when this analysis was made."""
+    """Yields the facts at the top of a report. These facts are the item, the operator, the date, and the duration from the first
+    sample to the last. The number of the analysis is added, with the number of analyses that existed when this analysis was
+    made."""
     info = {name: _text(value) for name, value in reader.run["info"].items()}
     for name in ("device_serial", "item_identification"):
         if info.get(name):

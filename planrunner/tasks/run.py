@@ -145,7 +145,7 @@ def start(
 ) -> tuple[Path, Outcome]:
     """Executes a sound plan in a new run folder in `runs`; returns the folder and the outcome.
 
-    It checks the disk space and connects every instrument before it makes the folder and before anything moves.
+    The function checks the disk space and connects every instrument before it makes the folder and before anything moves.
 
     `operator`: answers the prompts of the plan; None for an unattended run. `identity`: hexadecimal digits at the end of the
     folder's name. `admission`: the permission to begin that depends on the bench's check standard; by default, it is determined
@@ -191,12 +191,12 @@ def resume(
 ) -> Outcome:
     """Continues an interrupted run with its plan and bench, or repeats segments of a finished or unfinished run.
 
-    `bench`: the name of a shipped bench, or a file, that replaces the bench file in the run folder. It may differ from the replaced
-    file only in the addresses of instruments. A bench file names the devices to connect to. Therefore, `bench` is required for a
-    folder that was not made on this computer. It is not required if `trust_bench` permits the use of the bench file in the folder.
-    `override`: a decision to continue although the check standard of the bench is not in control; the state of the check standard
-    is determined again. An override with which the run began remains valid. `approvals`: a plan file; approvals that were given
-    after the run began are read from the folder of this file. The journal records the approvals that are used.
+    `bench`: the name of a shipped bench, or a file, that replaces the bench file in the run folder. The new bench file may differ
+    from the replaced file only in the addresses of instruments. A bench file names the devices to connect to. Therefore, `bench` is
+    required for a folder that was not made on this computer. `bench` is not required if `trust_bench` permits the use of the bench
+    file in the folder. `override`: a decision to continue although the check standard of the bench is not in control; the state of
+    the check standard is determined again. An override with which the run began remains valid. `approvals`: a plan file; approvals
+    that were given after the run began are read from the folder of this file. The journal records the approvals that are used.
 
     The folder is locked first, then the bench, and only then are instruments connected. If two processes try to resume the same
     run, the second is refused before it connects to an instrument.

@@ -1,8 +1,8 @@
 """Simulates a plan with added effects. For this purpose, an instrument that adds the effects is inserted into the bench; everything
 else is as in any run.
 
-The bench file in the run folder contains the added effects. They are therefore used when the run is resumed, estimated or
-diagnosed, and can be reproduced later.
+The bench file in the run folder contains the added effects. The added effects are therefore used when the run is resumed, estimated
+or diagnosed, and can be reproduced later.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def _added(same: Sequence[Influence]) -> Influence:
 
 
 def effective_degrees_of_freedom(contributions: Sequence[float], degrees_of_freedom: Sequence[float]) -> float:
-    """Returns the effective degrees of freedom by the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1). They are infinite if
+    """Returns the effective degrees of freedom by the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1). The result is infinite if
     nothing contributes, and zero if a contribution has no degrees of freedom."""
     pairs = [(size, freedom) for size, freedom in zip(contributions, degrees_of_freedom, strict=True) if size]
     if any(not freedom > 0 for _, freedom in pairs):

@@ -1,11 +1,11 @@
 """Treats stated inputs as conditions of a formula. A method names these inputs as conditions; the influences of the inputs on the
 results are then computed by evaluating the method's formula.
 
-A result must be a pure function of observations and conditions. Each input with a stated uncertainty is a `StatedCondition`. It
-contains the input quantity and functions that change the conditions. The formula is evaluated twice: with the input increased, and
-with the input decreased by its standard uncertainty. Half of the difference between the two results is the contribution of the
-input (JCGM 100:2008, 5.1.3, note 2). The step is the standard uncertainty, so rounding errors of the formula remain small for every
-unit and size of the input.
+A result must be a pure function of observations and conditions. Each input with a stated uncertainty is a `StatedCondition`. A
+`StatedCondition` contains the input quantity and functions that change the conditions. The formula is evaluated twice: with the
+input increased, and with the input decreased by its standard uncertainty. Half of the difference between the two results is the
+contribution of the input (JCGM 100:2008, 5.1.3, note 2). The step is the standard uncertainty, so rounding errors of the formula
+remain small for every unit and size of the input.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ class StatedCondition(Generic[C]):
         return StatedCondition(self.quantity, parts, self.in_scatter)
 
     def answers(self, formula: Callable[[C], Array]) -> list[Array]:
-        """Returns, for each part of the input, the derivative of the formula's results with respect to this part. It has the shape
-        of the results."""
+        """Returns, for each part of the input, the derivative of the formula's results with respect to this part. The derivative
+        has the shape of the results."""
         return slopes(formula, self.parts.values(), self.quantity.standard_uncertainty)
 
 

@@ -31,9 +31,9 @@ class CoefficientRole(StrEnum):
 
 @lru_cache(maxsize=4096)
 def coverage_factor(degrees_of_freedom: float, confidence: float = CONFIDENCE) -> float:
-    """Returns the factor k of the expanded uncertainty (JCGM 100:2008, G.3). It is the quantile of Student's t for a two-sided
-    interval, or of the normal distribution for infinite degrees of freedom. If there are no degrees of freedom, the factor is
-    infinite."""
+    """Returns the factor k of the expanded uncertainty (JCGM 100:2008, G.3). This factor is the quantile of Student's t for a
+    two-sided interval, or of the normal distribution for infinite degrees of freedom. If there are no degrees of freedom, the
+    factor is infinite."""
     from scipy.special import ndtri, stdtrit
 
     upper = 0.5 + confidence / 2

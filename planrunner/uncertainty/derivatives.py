@@ -1,10 +1,10 @@
 """Computes the derivatives of a formula by evaluating the formula itself. No gradient is written by hand.
 
 The complex step (Squire and Trapp, SIAM Review 40, 1998, 110) uses the relation f(x + i·h) = f(x) + i·h·f′(x) + O(h²). As no
-differences are computed, h can be so small that only rounding errors remain. The formula must be analytic. It may contain sums,
-products, powers, `np.sqrt`, `np.sin`, `np.arctan` and `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not analytic; use
-`angle_of` instead of `arctan2`, and `length` instead of norms. Comparisons must use the real part. A formula that needs other
-functions is differentiated by central differences (`central`).
+differences are computed, h can be so small that only rounding errors remain. The formula must be analytic. The formula may contain
+sums, products, powers, `np.sqrt`, `np.sin`, `np.arctan` and `np.linalg.solve`. `abs`, `hypot`, `arctan2` and norms are not
+analytic; use `angle_of` instead of `arctan2`, and `length` instead of norms. Comparisons must use the real part. A formula that
+needs other functions is differentiated by central differences (`central`).
 """
 
 from __future__ import annotations

@@ -21,8 +21,8 @@ _REACH = 9.0  # standard deviations of the prior that are integrated over; the r
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Describes what is known of the quantity before the measurement. Its distribution over the items is normal, with this mean and
-    this standard deviation."""
+    """Describes what is known of the quantity before the measurement. The distribution of the quantity over the items is normal,
+    with this mean and this standard deviation."""
 
     mean: float
     standard_deviation: float

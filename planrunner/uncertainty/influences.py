@@ -107,8 +107,8 @@ class BudgetLine:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """The uncertainty budget of one coefficient. Its last line, the combined uncertainty, is the standard uncertainty of the
-    coefficient."""
+    """The uncertainty budget of one coefficient. The last line of the budget, the combined uncertainty, is the standard uncertainty
+    of the coefficient."""
 
     coefficient: str
     unit: str

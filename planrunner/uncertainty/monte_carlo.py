@@ -53,8 +53,8 @@ class Propagated:
 
     `intervals`: the result for each coefficient. `draws`: number of draws that were made. `stabilised`: True if the results
     stabilised before the largest number of draws was reached. `spread`: array of shape (m,), the uncertainty of the ends of each
-    coefficient's interval. It is the half-width of the 95 % confidence interval of an end (Student's t over the blocks), the larger
-    of the two values; infinite if there is only one block.
+    coefficient's interval. For each end of an interval, the half-width of the 95 % confidence interval is computed (Student's t
+    over the blocks). `spread` is the larger of the two values; it is infinite if there is only one block.
     """
 
     intervals: tuple[Interval, ...]

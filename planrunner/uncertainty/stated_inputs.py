@@ -127,8 +127,8 @@ def _table(table: TableModel, source: str, day: str) -> Iterator[InputQuantity]:
 
 
 def _chamber(chamber: ChamberModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """Yields the uncertainty of the temperature in the chamber. It combines the tolerance, within which the temperature of the air
-    can have any value, and the declared uncertainty of the air temperature."""
+    """Yields the uncertainty of the temperature in the chamber. The uncertainty combines the tolerance, within which the
+    temperature of the air can have any value, and the declared uncertainty of the air temperature."""
     width = math.hypot(chamber.tolerance / math.sqrt(3), chamber.temperature_uncertainty)
     shape = "normal" if chamber.temperature_uncertainty else "rectangular"
     yield InputQuantity("temperature", 0.0, "K", width, distribution=shape, source=source, calibrated=day)

@@ -302,7 +302,7 @@ class DependsOnPast(HasShape, Protocol):
 
 @runtime_checkable
 class InEveryWorld(Effect, Protocol):
-    """An effect that every simulation of a bench contains. Its parameter is a factor: 1 leaves the effect unchanged, 0 removes it."""
+    """An effect that every simulation of a bench contains. The parameter is a factor: 1 does not change the effect, 0 removes it."""
 
     in_every_world: Literal[True]
 

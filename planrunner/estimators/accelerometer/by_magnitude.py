@@ -1,10 +1,10 @@
 """Calibrates an accelerometer triad with the magnitude of gravity: nine parameters from still spans or whole segments in unknown
 attitudes.
 
-A Gauss–Newton fit with equal weights gives approximate values. The last step is a weighted linear fit of |f| − g. It uses the same
-code as all estimators that use positions. The weights of the last fit come from the noise within the poses and from the declared
-flicker of each channel. The flicker affects |f| in proportion to the channel's component of gravity. The attitude of the sensor
-does not matter, because |f| equals g in any attitude.
+A Gauss–Newton fit with equal weights gives approximate values. The last step is a weighted linear fit of |f| − g. This step uses
+the same code as all estimators that use positions. The weights of the last fit come from the noise within the poses and from the
+declared flicker of each channel. The flicker affects |f| in proportion to the channel's component of gravity. The attitude of the
+sensor does not matter, because |f| equals g in any attitude.
 """
 
 from __future__ import annotations

@@ -50,7 +50,7 @@ class Phase:
 
 
 class _Integrator:
-    """Integrates samples to phase. It stores all runs in one array, so that no memory is needed beyond the phase itself."""
+    """Integrates samples to phase. All runs are stored in one array, so that no further memory is needed."""
 
     def __init__(self, capacity: int, decimation: int):
         self.flat = np.empty(capacity)

@@ -45,8 +45,8 @@ def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
 
 
 def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
-    """Returns the averaging factors to use. They belong to those times in `taus` that fit at least twice into the longest run. If
-    `taus` is empty, they are octaves. Raises `EstimationError` if there is no such factor."""
+    """Returns the averaging factors to use. The factors belong to the times in `taus` that fit at least twice into the longest run.
+    If `taus` is empty, they are octaves. Raises `EstimationError` if there is no such factor."""
     if not taus:
         return octave_factors(lengths)
     wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)

@@ -140,8 +140,8 @@ def named_units(dimension: Dimension) -> Mapping[str, str] | None:
 
 def coefficient_units(output: str) -> dict[str, tuple[str, float]]:
     """Returns, for each of the coefficients Q, N, B and K, the unit in which it is reported, and the factor that converts the
-    coefficient to this unit. It applies to a coefficient in the output's unit times s (Q), √s (N), 1 (B) or 1/√s (K). Raises
-    `EstimationError` for an unknown unit."""
+    coefficient to this unit. The factor applies to a coefficient in the output's unit times s (Q), √s (N), 1 (B) or 1/√s (K).
+    Raises `EstimationError` for an unknown unit."""
     try:
         own = unit(output)
     except UnknownUnitError as error:

@@ -295,8 +295,9 @@ def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParamet
 
 
 def _reversed_meters(request: EstimateRequest[ErrorModelParameters]) -> list[Said]:
-    """Returns warnings about meters for supply voltage and pressure whose readings have the wrong sign. The gain of a meter is fitted
-    to its readings at the values that the plan states, through the origin. Its sign is the sign of Σ (reading · stated value)."""
+    """Returns warnings about meters for supply voltage and pressure whose readings have the wrong sign. The gain of a meter is
+    fitted to its readings at the values that the plan states, through the origin. The sign of the gain is the sign of Σ (reading ·
+    stated value)."""
     planned = [one.segment for one in request.segments]
     nominal = request.sensor.nominal_supply
     stated = states_of(planned, np.zeros(len(planned)), np.ones(len(planned)), nominal)

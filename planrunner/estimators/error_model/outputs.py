@@ -73,8 +73,8 @@ class ModelledOutput:
 
     `rows`: indices of the output's segments among the segments of the estimate. `gain`: index of the scale factor among the
     amplitudes; None if the scale factor is not fitted. `within`: the fit to the output's samples; the model is linearised around
-    its result. None if the output needs only the means. `followed`: empty unless `within` is given. It contains (effect, name) of
-    each amplitude that determines how errors of the table and the site affect the output.
+    its result. `within` is None if the output needs only the means. `followed`: empty unless `within` is given. `followed` contains
+    (effect, name) of each amplitude that determines how errors of the table and the site affect the output.
     """
 
     errors: OutputErrors

@@ -516,8 +516,8 @@ class _Problem:
 
     @cached_property
     def _turning(self) -> NDArray[np.complex128]:
-        """Returns the part of the input that varies once per turn with an unknown phase, in the output's unit, shape (N,). It has
-        the complex form that `errors_of_phase` expects."""
+        """Returns the part of the input that varies once per turn with an unknown phase, in the output's unit, shape (N,). The
+        result has the complex form that `errors_of_phase` expects."""
         observed = self.output.observed
         k = [channel.name for channel in observed.channels].index(self.output.errors.output)
         return np.asarray(observed.unknown_phase[self.owner, k] * self.output.nominal * np.exp(1j * observed.angle))

@@ -1,2 +1,2 @@
-"""Estimators that calibrate an inertial measurement unit with positions and rates. They determine bias, scale factor, misalignment
-and g-sensitivity."""
+"""Estimators that calibrate an inertial measurement unit with positions and rates. The estimators determine bias, scale factor,
+misalignment and g-sensitivity."""

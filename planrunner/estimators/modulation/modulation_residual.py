@@ -73,8 +73,8 @@ class ModulationResidual:
     Parameters = ModulationResidualParameters
 
     def design(self, request: DesignRequest[ModulationResidualParameters]) -> Design:
-        """Returns a design without coefficients. Its notes give the residuals of the cycles. If the navigations cannot be compared,
-        a remark gives the reason."""
+        """Returns a design without coefficients. The notes of the design give the residuals of the cycles. If the navigations
+        cannot be compared, a remark gives the reason."""
         moving = [segment for segment in request.segments if rotation(segment.motion, request.setup.table) is not None]
         if not moving or len(request.uses) < 2:
             message = (
@@ -299,8 +299,8 @@ def _predicted(
     navigations: Sequence[Navigation], request: EstimateRequest[ModulationResidualParameters]
 ) -> list[Table]:
     """Returns tables of the position errors that the linear error equations predict for the declared constant errors of the
-    sensors. A second prediction uses only the horizontal components of these errors. It shows the benefit of the rotation cycle,
-    because a cycle about the vertical does not modulate the vertical components."""
+    sensors. A second prediction uses only the horizontal components of these errors. The second prediction shows the benefit of the
+    rotation cycle, because a cycle about the vertical does not modulate the vertical components."""
     declared = request.parameters.declared
     if declared is None:
         return []

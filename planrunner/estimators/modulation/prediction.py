@@ -1,7 +1,7 @@
-"""Predicts the navigation errors that declared constant sensor errors cause on a turning table. One prediction uses the linear
-error equations, the other uses harmonics.
+"""Predicts the navigation errors that declared constant sensor errors cause on a turning table. There are two predictions: the
+first uses the linear error equations, and the second uses harmonics.
 
-An alignment at rest cannot observe some sensor errors. It adjusts tilt and azimuth so that they compensate these errors
+An alignment at rest cannot observe some sensor errors. The alignment adjusts tilt and azimuth so that they compensate these errors
 (`ErrorEquations.levelled`). While the sensor stays at rest, the errors therefore mostly cancel. An alignment during a cycle
 compensates only the residual of the cycle. After the alignment, the errors of gyros and accelerometers rotate with the table. These
 errors are the input of the equations.
@@ -77,7 +77,7 @@ def periodic_amplitudes(
     errors: Array, attitude: Array, cycle: RotationCycle, orders: NDArray[np.int_], site: Site
 ) -> tuple[float, float]:
     """Returns the amplitudes of those parts of the velocity error [m/s] and of the position error [m] that repeat with the cycle.
-    They are computed from the harmonics `orders` of the cycle."""
+    The amplitudes are computed from the harmonics `orders` of the cycle."""
     level = attitude.T @ errors.reshape(2, 3).T
     gyro, accelerometer = (complex(level[0, column], level[1, column]) for column in (0, 1))
     forced = {

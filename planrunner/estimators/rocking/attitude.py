@@ -1,5 +1,5 @@
-"""Computes attitudes and tilts of a stabilised element. It computes the tilt that gravity shows, and the motion of an inertially
-fixed element relative to the rotating Earth.
+"""Computes attitudes and tilts of a stabilised element. The module computes the tilt that gravity shows, and the motion of an
+inertially fixed element relative to the rotating Earth.
 
 All matrices transform vector components to another frame (v_element = C @ v_site, where the site axes are East-North-Up). R_k(a) is
 the rotation of a frame by `a` about its axis k: R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.

@@ -1,8 +1,8 @@
 """Checks a rocking test before it runs: windows, timing, pattern of runs, caging and resolution. Also checks whether the drift
 about each axis can be measured.
 
-A finding is an error if the drift under rocking could not be computed, or would be wrong. It is a warning if the result would only
-be less accurate than the method can be.
+A finding is an error if the drift under rocking could not be computed, or would be wrong. A finding is a warning if the result
+would only be less accurate than the method can be.
 """
 
 from __future__ import annotations

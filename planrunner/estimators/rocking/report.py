@@ -175,8 +175,8 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
 
 
 def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Said:
-    """Writes a note about drift about the vertical axis. It states which fraction of such a drift appears as a drift about a level
-    axis."""
+    """Writes a note about drift about the vertical axis. The note states which fraction of such a drift appears as a drift about a
+    level axis."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return said(
         "By the second window the element has tilted by {tilt:.2f} deg relative to the site: up to {share:.1f} % of the "

@@ -1,5 +1,5 @@
-"""Estimates the rocking drift of an inertial platform. It uses the direction of gravity that the accelerometers show and, for
-comparison, the gimbal angles.
+"""Estimates the rocking drift of an inertial platform. The estimator uses the direction of gravity that the accelerometers show
+and, for comparison, the gimbal angles.
 
 The base rocks while the stabilised element should keep its attitude in inertial space. If the element drifts, the direction of
 gravity changes relative to the element. The element is caged before each run, and a run is 10 min of navigation. Four runs form a

@@ -36,8 +36,8 @@ class Run:
 
     @property
     def planned_lead(self) -> float:
-        """Returns the planned time [s] from the release to the start of the record. It consists of the settling time and of that
-        part of the rocking's fade-in which is not recorded."""
+        """Returns the planned time [s] from the release to the start of the record. This time consists of the settling time and of
+        the unrecorded part of the rocking's fade-in."""
         motion = self.segment.motion
         return self.segment.settle + (motion.lead_in if isinstance(motion, Rock) else 0.0)
 

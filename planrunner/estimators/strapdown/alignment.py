@@ -207,8 +207,8 @@ def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
 
 def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, AtRest]:
     """Returns the mean readings (6,), rad/s and m/s², over the first `seconds`, and the readings in this time as `AtRest`. The
-    white noise is the Allan deviation of means over one second, because slow motion does not increase it. Its degrees of freedom
-    are computed for overlapping differences of white noise."""
+    white noise is the Allan deviation of means over one second, because slow motion does not increase it. The degrees of freedom of
+    this noise are computed for overlapping differences of white noise."""
     values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
     interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
     within = int(np.searchsorted(np.cumsum(interval), seconds * (1 - 1e-9)))

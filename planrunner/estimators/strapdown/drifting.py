@@ -4,8 +4,8 @@ causes.
 The fit has a separate constant for each position in which the sensor stops; the drift is the same function for all positions. The
 drift functions and the test of a drift are the same as in the static methods (`observation.drift`, `drift_fit`). The navigation is
 not corrected for the drift, because its errors are the errors of this sensor on this day. With constant biases, the errors would be
-different; this difference is stated as an error that is not corrected (JCGM 100:2008, F.2.4.5). It is computed with the linear
-error equations (`wandering`).
+different; this difference is stated as an error that is not corrected (JCGM 100:2008, F.2.4.5). The difference is computed with the
+linear error equations (`wandering`).
 """
 
 from __future__ import annotations

@@ -27,8 +27,8 @@ NAUTICAL_MILE = 1852.0  # m
 
 
 def _sigma_quantile(probability: float) -> float:
-    """Returns a quantile of the ratio of the true to the estimated standard deviation. It is for one run, whose two error
-    components give a χ² distribution with two degrees of freedom."""
+    """Returns a quantile of the ratio of the true to the estimated standard deviation. The quantile applies to one run, whose two
+    error components give a χ² distribution with two degrees of freedom."""
     return math.sqrt(-1 / math.log(probability))
 
 
@@ -39,9 +39,9 @@ CEP_INTERVAL = (_sigma_quantile(0.025), _sigma_quantile(0.975))
 
 
 def stride(knots: int) -> int:
-    """Returns the number of knots from one stored point to the next. It is chosen so that a record has at most `POINTS` points; if
-    possible, it is a divisor of 3600, so that whole hours are among the points. Knots are the moments for which the navigator
-    returns a result."""
+    """Returns the number of knots from one stored point to the next. The number is chosen so that a record has at most `POINTS`
+    points. If possible, it is a divisor of 3600, so that whole hours are among the points. Knots are the moments for which the
+    navigator returns a result."""
     wanted = max(1, -(-knots // POINTS))
     divisors = [k for k in range(1, int(HOUR) + 1) if int(HOUR) % k == 0]
     return next((k for k in divisors if k >= wanted), wanted)

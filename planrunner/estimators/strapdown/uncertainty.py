@@ -3,8 +3,8 @@
 An uncertainty states how well one run determines the navigation errors that the constant errors of the sensors cause. The
 uncertainties have three sources. The first is the white noise of the sensors. The second is the uncertainty of the alignment due to
 this noise, propagated by the linear error equations. The third is the stated bias instabilities (see `wandering`). Constant sensor
-errors do not make the navigation errors more uncertain, because their effect is part of the measured navigation errors. They make
-only the alignment angles more uncertain, because the angles do not show the sensor errors.
+errors do not make the navigation errors more uncertain, because their effect is part of the measured navigation errors. Only the
+alignment angles become more uncertain, because the angles do not show the sensor errors.
 """
 
 from __future__ import annotations

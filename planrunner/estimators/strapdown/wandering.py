@@ -3,9 +3,9 @@ and navigation.
 
 The constant error of a sensor is defined as the average over a stated time span (see `observation.flicker`). Only deviations from
 this average count here as disturbances of alignment and navigation. The errors of a navigation are linear in the sensors' errors.
-They are therefore sums of the responses to the sensor errors in short intervals. The response to a sensor error that is constant in
-one interval is known. The covariance of the means of flicker over these intervals then gives the covariance of the navigation
-errors.
+The navigation errors are therefore sums of the responses to the sensor errors in short intervals. The response to a sensor error
+that is constant in one interval is known. The covariance of the means of flicker over these intervals then gives the covariance of
+the navigation errors.
 """
 
 from __future__ import annotations
@@ -97,8 +97,8 @@ class WanderingBias:
 
 
 def interval(seconds: float, most: int) -> float:
-    """Returns the length [s] of the intervals into which a time of `seconds` is divided. It is at least `SHORTEST`, and long enough
-    to give at most `most` intervals."""
+    """Returns the length [s] of the intervals into which a time of `seconds` is divided. The length is at least `SHORTEST`, and
+    long enough to give at most `most` intervals."""
     return max(SHORTEST, math.ceil(seconds / most))
 
 

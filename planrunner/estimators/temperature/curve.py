@@ -6,9 +6,9 @@
 
 The order is chosen by the errors of held-out values. All values at a temperature are held out together, never single values,
 because values at one temperature have common errors. The one-standard-error rule (Hastie et al., 7.10.1) starts from the curve with
-the smallest held-out error. It selects the simplest curve whose error exceeds this smallest error by at most the standard error of
-the smallest error. The number of coefficients is at most half of the number of temperatures, rounded up, because otherwise, with
-few temperatures, one of the many possible curves would fit by chance.
+the smallest held-out error. The rule selects the simplest curve whose error exceeds this smallest error by at most the standard
+error of the smallest error. The number of coefficients is at most half of the number of temperatures, rounded up, because
+otherwise, with few temperatures, one of the many possible curves would fit by chance.
 
 If the data select the order, the usual interval is too narrow: terms that were not selected may still be as large as a standard
 deviation, and the usual interval ignores them. The uncertainty of a selected curve is therefore computed from the curve of the
@@ -20,9 +20,9 @@ the covariance of the noise, and held-out errors are computed from the whitened 
 
 Further columns may be fitted together with the curve, for example for the difference between rising and falling temperature
 (`branches`). Ramps differ from one another by more than noise, because each ramp has an offset and a slope of random size. The
-variances of these offsets and slopes are part of all uncertainties. They are estimated from the decrease of the sum of squares in a
-fit in which every ramp has its own offset and slope (Henderson's method 3: Searle, Casella and McCulloch, Variance Components,
-5.5).
+variances of these offsets and slopes are part of all uncertainties. These variances are estimated from the decrease of the sum of
+squares in a fit in which every ramp has its own offset and slope (Henderson's method 3: Searle, Casella and McCulloch, Variance
+Components, 5.5).
 """
 
 from __future__ import annotations

@@ -421,7 +421,7 @@ def _influences(
 
 def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
     """Returns how flicker affects the coefficients, for channels for which the bench file states no flicker. The flicker shifts the
-    curves. Its effect on the hysteresis is not computed, because the hysteresis is the largest of several values."""
+    curves. The effect of the flicker on the hysteresis is not computed, because the hysteresis is the largest of several values."""
     counts = [len(one.fit.coefficients) + (one.widest is not None) for one in models]
     found, first = [], 0
     for one, count in zip(models, counts, strict=True):

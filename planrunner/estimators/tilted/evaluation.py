@@ -90,7 +90,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
-    """Contains the results of an evaluation for g temperatures and m axes. They can be compared with the results for other
+    """Contains the results of an evaluation for g temperatures and m axes. These results can be compared with the results for other
     conditions.
 
     `means`: array of shape (g, m, 5), the five `QUANTITIES`, averaged over the repeats. `repeats`: for each temperature, an array
@@ -156,8 +156,8 @@ def evaluate(
     groups: Sequence[Group], conditions: TiltedConditions, reference: int, worst: Worst | None = None
 ) -> TiltedResults:
     """Computes all results of an evaluation. `reference`: index of the group whose scale factor K is the reference for the other
-    groups. `worst`: the rates and temperatures that determine the largest values. They are given if the evaluation is repeated with
-    changed conditions, so that the same rates and temperatures are used."""
+    groups. `worst`: the rates and temperatures that determine the largest values. `worst` is given if the evaluation is repeated
+    with changed conditions, so that the same rates and temperatures are used."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
     held = worst or _worst(residuals, np.zeros(lines[0].slope.shape[1], dtype=np.int64))

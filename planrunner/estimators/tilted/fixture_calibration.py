@@ -107,8 +107,8 @@ def _at(axes: MountedAxes, coefficients: Sequence[Coefficient]) -> MountedAxes:
 
 
 def _data_freedom(used: Estimate, item: Coefficient) -> float:
-    """Returns the degrees of freedom that an angle has because of the data of the calibration alone, without the influences. They
-    are computed from the budget, because the degrees of freedom in the estimate include the influences."""
+    """Returns the degrees of freedom that an angle has because of the data of the calibration alone, without the influences. The
+    degrees of freedom are computed from the budget, because the degrees of freedom in the estimate include the influences."""
     for budget in used.budgets:
         if budget.coefficient == item.name:
             return next((line.degrees_of_freedom for line in budget.lines if line.kind == "A"), item.degrees_of_freedom)

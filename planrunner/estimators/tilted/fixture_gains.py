@@ -64,8 +64,8 @@ class GainModel:
         return (*(f"offset {text}" for text in self.orientations), *gains)
 
     def matrix(self, basis: Array) -> Array:
-        """Returns the design matrix. It has one column for the offset of each orientation, and then the columns of the gains.
-        `basis`: array of shape (3, r), directions in the fixture's frame that span the gain vector."""
+        """Returns the design matrix. The matrix has one column for the offset of each orientation, followed by the columns of the
+        gains. `basis`: array of shape (3, r), directions in the fixture's frame that span the gain vector."""
         return np.column_stack([np.eye(len(self.orientations))[self.place], self.felt @ basis])
 
     def magnitudes(self, basis: Array) -> Array:
@@ -100,8 +100,9 @@ def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], sit
 
 
 def gain_basis(axes: MountedAxes, k: int, azimuth: str) -> Array:
-    """Returns the directions in which the gain vector of axis k is fitted, shape (3, r). They are the fixture's x, y and z axes, or
-    the direction of the stated azimuth and the z axis. Raises `EstimationError` if an azimuth is needed but not stated."""
+    """Returns the directions in which the gain vector of axis k is fitted, shape (3, r). The directions are the fixture's x, y and
+    z axes, or the direction of the stated azimuth and the z axis. Raises `EstimationError` if an azimuth is needed but not
+    stated."""
     if azimuth == FITTED:
         return np.eye(3)
     if math.isnan(axes.azimuths[k]):

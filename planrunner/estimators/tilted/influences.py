@@ -1,5 +1,5 @@
-"""Computes the Type B influences on scale factors of tilted axes. Their sources are the fixture, the table, the site, the
-temperature, the resolution, and drift of the zero.
+"""Computes the Type B influences on scale factors of tilted axes. The sources of these influences are the fixture, the table, the
+site, the temperature, the resolution, and drift of the zero.
 
 Fixture, table and site are conditions of the function that computes the results. The other sources change the means of segments.
 Each change of a mean is multiplied by the sensitivity of the results to this mean.

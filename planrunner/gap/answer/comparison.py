@@ -200,8 +200,8 @@ def _channel(
 
 
 def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
-    """Returns the variances due to slow noise and rounding in the segment means of the recording, shape (m,). They are zero for
-    coefficients that are not means."""
+    """Returns the variances due to slow noise and rounding in the segment means of the recording, shape (m,). The variances are
+    zero for coefficients that are not means."""
     weight, found = weighing.weights[index][0], weighing.spectrum
     counts = weighing.observed.counts.astype(float)
     whole = np.diag(weight.covariance(found.frequency == 0)) / counts - weighing.white[index] ** 2 / counts

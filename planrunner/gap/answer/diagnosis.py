@@ -79,8 +79,8 @@ class Grounds:
     """Contains the data on which a diagnosis is based, for further analysis.
 
     `nominal`: names of the terms that the nominal simulation fits. `choices`: the effects and sets of effects among which the
-    closure chooses. `noise`: the noise that was measured for the closure. It is None if no named effect allows a closure, that is,
-    if the other segments cannot predict the effect in a held-out segment.
+    closure chooses. `noise`: the noise that was measured for the closure. `noise` is None if no named effect allows a closure, that
+    is, if the other segments cannot predict the effect in a held-out segment.
     """
 
     weighing: Weighing

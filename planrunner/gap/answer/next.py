@@ -2,8 +2,8 @@
 on this bench, or an instrument that the bench lacks.
 
 The information that a segment would give is computed before the segment is measured. To save time, only a few seconds of each
-segment are computed at the sampling rate of the recording. They contain whole turns or periods. The rest of the segment is treated
-as a repetition of these seconds.
+segment are computed at the sampling rate of the recording. These seconds contain whole turns or periods. The rest of the segment is
+treated as a repetition of these seconds.
 
 The choice is greedy: each step takes the segment with the most expected evidence per second of test time, which includes moves and
 temperature changes. The search ends when the expected probability of the true explanation is high enough, or when no segment helps.
@@ -358,8 +358,8 @@ def _shortened(
     last: Segment | None,
     seconds: Seconds,
 ) -> tuple[list[list[Foreseen]], list[float], list[float]]:
-    """Shortens the list of moves. It keeps the moves with the largest gain and with the largest gain per second, and adds bundles
-    of the best moves at each temperature."""
+    """Shortens the list of moves. The shorter list contains the moves with the largest gain and with the largest gain per second,
+    and bundles of the best moves at each temperature."""
     by_gain, by_rate = np.argsort(-np.array(gains)), np.argsort(-np.array(gains) / np.array(costs))
     temperatures: dict[float | None, list[int]] = {}
     for index in by_gain:

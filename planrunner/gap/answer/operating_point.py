@@ -2,8 +2,8 @@
 
 A dead zone or a limit acts on the output. Its size therefore depends on the bias and the scale factors of the sensor. To first
 order in the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The nominal parameters θ₀ are those at which the form of
-the effect was computed. The columns of E are central differences. Their step is one standard uncertainty of each parameter, because
-the exact derivative of a dead zone is infinite at its edge.
+the effect was computed. The columns of E are central differences. The step of these differences is one standard uncertainty of each
+parameter, because the exact derivative of a dead zone is infinite at its edge.
 """
 
 from __future__ import annotations

@@ -77,8 +77,8 @@ def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array |
 
 
 def shape(candidate: Candidate) -> list[ParameterEstimate]:
-    """Returns the shape of an effect and its uncertainty. Both are computed from the evidence for all values of the shape that were
-    evaluated."""
+    """Returns the shape of an effect and its uncertainty. The shape and its uncertainty are computed from the evidence for all
+    evaluated values of the shape."""
     effect = candidate.effect
     if isinstance(effect, HasShape) and not isinstance(effect, Shaped) and candidate.best.variant.shape is not None:
         # One of a few numbers, of which the amplitudes belong to the best.
@@ -106,7 +106,8 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
 
 
 def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[ParameterEstimate]:
-    """Returns the shape of an effect that has no amplitude. It is computed from the effect's forms and their probabilities."""
+    """Returns the shape of an effect that has no amplitude. The shape is computed from the effect's forms and their
+    probabilities."""
     values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
     mean = float(share @ values)
     spread = float(np.sqrt(share @ (values - mean) ** 2))

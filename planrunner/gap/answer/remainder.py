@@ -1,9 +1,9 @@
 """Examines the part of a gap that a fit does not explain. Computes a goodness-of-fit test for every channel, the size of the
 unexplained part, and the dispersion, which corrects the evidence.
 
-The test determines whether noise alone explains the whitened residuals of a channel. It compares the sum of their squares with the
-χ² distribution, with Bonferroni's correction for the number of tests. The unexplained part is called the remainder; for it, the
-named effects are fitted to all segments.
+The test determines whether noise alone explains the whitened residuals of a channel. The test compares the sum of the squared
+residuals with the χ² distribution, with Bonferroni's correction for the number of tests. The unexplained part is called the
+remainder; for it, the named effects are fitted to all segments.
 
 If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. Sometimes no explanation
 leaves only noise. The differences between log evidences are then too large by this ratio. The reason is that the evidence treats

@@ -1,11 +1,11 @@
 """Describes rival explanations after a diagnosis, and computes how well further measurements are expected to distinguish them.
 
-Every explanation is a linear model that predicts further recordings. It consists of the nominal parameters and of effects with
-normally distributed amplitudes. The posterior from the recording is the prior for the next measurements. Therefore, if explanation
-A is true, the expected log evidence of A against explanation B is the Kullback-Leibler divergence between their predictions. This
-is the criterion of Box and Hill (Technometrics 9, 1967): T-optimality (Atkinson and Fedorov, Biometrika 62, 1975), averaged over
-the uncertainty of the amplitudes. Only the information matrix of the new measurements is needed, so the computing time does not
-depend on the number of samples.
+Every explanation is a linear model that predicts further recordings. The model consists of the nominal parameters and of effects
+with normally distributed amplitudes. The posterior from the recording is the prior for the next measurements. Therefore, if
+explanation A is true, the expected log evidence of A against explanation B is the Kullback-Leibler divergence between their
+predictions. This is the criterion of Box and Hill (Technometrics 9, 1967): T-optimality (Atkinson and Fedorov, Biometrika 62,
+1975), averaged over the uncertainty of the amplitudes. Only the information matrix of the new measurements is needed, so the
+computing time does not depend on the number of samples.
 """
 
 from __future__ import annotations
@@ -92,7 +92,8 @@ def expected_loss(rivals: Sequence[Rival], information: Array) -> Array:
 
 
 def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
-    """Returns the expected posterior probability of the true rival after measurements. Their information has the shape (P, P).
+    """Returns the expected posterior probability of the true rival after measurements. The information of these measurements has
+    the shape (P, P).
 
     The log evidence is assumed to be normal with the expectation D of `expected_evidence` and the variance 2D, as for two known signals.
     """
@@ -154,8 +155,8 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
     """Returns the most probable explanations that predict different recordings, at most `MOST`.
 
     Effects that act only on the noise predict nothing. Explanations that differ only in such effects therefore count as one
-    explanation. "Unknown" and "none" also predict nothing. They count as one explanation, which has the name of the more probable
-    one.
+    explanation. "Unknown" and "none" also predict nothing. "Unknown" and "none" therefore count as one explanation, which has the
+    name of the more probable one.
     """
     by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
     silent = max(SILENT, key=lambda name: found.probability[name])

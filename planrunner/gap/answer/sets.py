@@ -4,7 +4,7 @@ shapes again.
 
 In a quick evaluation, the amplitudes of a set are fixed at their most probable values, and every form of every other effect is
 evaluated on the residuals. The best sets are then evaluated in full: with a separate strength for every effect, and at every
-setting of the noise that has a noticeable weight. They are also evaluated together with a random walk of the gyros.
+setting of the noise that has a noticeable weight. The best sets are also evaluated together with a random walk of the gyros.
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], log_prior: Array) -> Array:
-    """Returns the log Bayes factor of the set at each setting of the noise, shape (G,). It is −∞ at settings that have no
+    """Returns the log Bayes factor of the set at each setting of the noise, shape (G,). The value is −∞ at settings that have no
     noticeable weight under the given prior."""
     widths = weighed.variant.widths
     traces = [member.form.trace for member in members]

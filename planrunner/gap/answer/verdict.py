@@ -7,9 +7,10 @@ have no bias. The bias is then named, even if there is a small further deviation
 so strong that its deviation from its idealised form becomes visible. The flexible patterns outside the catalogue then seem to
 explain this deviation. The energy of the deviation is called form residue.
 
-The confusability states which effects a plan can distinguish. It can be computed before and after the recording. Consider the
-whitened signature of effect A after projection. The confusability ρ(A|B) is the fraction of its energy that effect B reproduces
-with suitable amplitudes. If λ is the energy of the fitted effect A, the test between A and B has the non-centrality λ(1 − ρ).
+The confusability states which effects a plan can distinguish. The confusability can be computed before and after the recording.
+Consider the whitened signature of effect A after projection. The confusability ρ(A|B) is the fraction of its energy that effect B
+reproduces with suitable amplitudes. If λ is the energy of the fitted effect A, the test between A and B has the non-centrality λ(1
+− ρ).
 """
 
 from __future__ import annotations

@@ -216,9 +216,9 @@ class FormPoint:
 @dataclass(frozen=True)
 class UnknownForm:
     """Describes the form of an unknown cause. `pattern`: name of the pattern in words. `factor`: the factor that the gap follows.
-    `channels`, `units`: channels that show the gap, and their units. `share`: fraction of the energy of the gap in all channels. It
-    is None for noise and tones, which lie outside the coefficients. `points`: the offsets at each level; empty if the pattern does
-    not consist of offsets.
+    `channels`, `units`: channels that show the gap, and their units. `share`: fraction of the energy of the gap in all channels.
+    `share` is None for noise and tones, which lie outside the coefficients. `points`: the offsets at each level; empty if the
+    pattern does not consist of offsets.
     """
 
     pattern: str

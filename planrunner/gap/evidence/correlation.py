@@ -107,8 +107,8 @@ class Correlation:
         return out
 
     def among(self, rows: NDArray[np.bool_]) -> Correlation:
-        """Returns the correlations between the rows that a mask (M,) selects. It is used with coefficients (M, …) that are zero in
-        all other rows."""
+        """Returns the correlations between the rows that a mask (M,) selects. This method is used with coefficients (M, …) that are
+        zero in all other rows."""
         made = Correlation.__new__(Correlation)
         made._rows, made._inside, made.count = self._rows, self._inside, self.count
         chosen = rows[self._rows] & self._inside

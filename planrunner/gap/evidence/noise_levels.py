@@ -1,9 +1,9 @@
 """Computes the evidence for the effects that act only on the noise. White noise and resolution are compared with their
 declarations.
 
-A declaration can be wrong. It is assumed to be correct within a few per cent with probability 0.8. Otherwise, the declaration is
-wrong by up to a factor of two. This factor is either the same in all channels or different in each triad. Only larger deviations,
-or deviations of the gyros alone, are evidence of excess noise.
+A declaration can be wrong. With probability 0.8, the declaration is assumed to be correct within a few per cent. Otherwise, the
+declaration is wrong by up to a factor of two. This factor is either the same in all channels or different in each triad. Only
+larger deviations, or deviations of the gyros alone, are evidence of excess noise.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
 WRONG = 0.2  # chance that it is off by up to a factor of two
 EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))
 """Possible excesses of the white noise: the logarithms of the ratio of the true to the declared noise. The energy of an excess is
-(logarithm ÷ `HOLDS`)². It is log-uniform, like the energy of every effect."""
+(logarithm ÷ `HOLDS`)². This energy is log-uniform, like the energy of every effect."""
 _TRIADS = ("gyro", "accel")
 CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not seen
 
@@ -138,7 +138,7 @@ def _normal(x: Array | float, sigma: float) -> Array:
 
 def _within_two(x: Array | float) -> Array:
     """Returns the value at x of a probability density. The density is uniform between −ln 2 and ln 2, which is a factor of two in
-    either direction. Its edges are smoothed over 10 %. Outside the edges, the density has a small constant value."""
+    either direction. The edges of the density are smoothed over 10 %. Outside the edges, the density has a small constant value."""
     edge = 0.1
     top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return np.asarray(top / (2 * np.log(2.0)) + 1e-9)

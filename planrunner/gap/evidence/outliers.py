@@ -149,8 +149,8 @@ def _left(columns: Array, q: Array) -> Array:
 
 
 def _step(error: Array, row: int, root: Array, q: Array) -> float:
-    """Returns the largest test statistic of a step near a row. It has the same scale as the test statistic of an outlier, so that
-    the two can be compared."""
+    """Returns the largest test statistic of a step near a row. This statistic has the same scale as the test statistic of an
+    outlier, so that the two can be compared."""
     from scipy.fft import dct
 
     count = len(error)

@@ -30,7 +30,7 @@ _MOST = 60  # counts that a segment at rest may reach
 
 def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
     """Returns True if the counts of a channel are so coarse that the noise does not dither the rounding. `white`: standard
-    deviation of a rounded sample. Its square includes the variance count²/12 of the rounding."""
+    deviation of a rounded sample. The square of `white` includes the variance count²/12 of the rounding."""
     return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))
 
 
@@ -113,9 +113,9 @@ def _counted(observed: Observed, index: int) -> list[_Counted]:
 
 
 def _of_counts(observed: Observed, index: int) -> Array:
-    """Returns the log likelihood of the noise levels `NOISES`, shape (S,). It is computed from the numbers of samples at each count
-    in segments at rest. For each noise level, the true mean of a segment is chosen so that it gives the mean reading of the
-    segment."""
+    """Returns the log likelihood of the noise levels `NOISES`, shape (S,). The likelihood is computed from the numbers of samples
+    at each count in segments at rest. For each noise level, the true mean of a segment is chosen so that it gives the mean reading
+    of the segment."""
     segments = _counted(observed, index)
     return np.array([_log_likelihood(segments, float(sigma), _reading(sigma)) for sigma in NOISES])
 

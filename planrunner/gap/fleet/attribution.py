@@ -5,7 +5,8 @@ declarations).
 The estimate in run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, where e_r ~ N(0, s_r²) is known from the
 fit of the run. The parts of one kind of source, such as those of all devices, are independent draws from N(0, σ²); each kind has
 its own σ. This is a random-effects model (Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9). The common
-part c has a σ as well. It has no flat prior, because zero is a special value: with zero, the run agrees with the simulation.
+part c has a σ as well. The common part has no flat prior, because zero is a special value: with zero, the run agrees with the
+simulation.
 
 The hypotheses are all subsets of the sources, including the empty set. For given σ, the evidence is Gaussian:
 
@@ -14,7 +15,7 @@ The hypotheses are all subsets of the sources, including the empty set. For give
 Z contains the grouping of the runs, and the diagonal matrix G contains the variances σ² of the parts. The diagonal matrix S
 contains the variances s². If every run is a group of its own for a source, the σ² of this source is added to S instead. With M = I
 + G^½ ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion lemma).
-Each σ has a log-uniform prior. It is integrated out on a grid, which is finer where the evidence is large.
+Each σ has a log-uniform prior. Each σ is integrated out on a grid, which is finer where the evidence is large.
 
 Sources that group the runs in the same way cannot be distinguished, for example one device on one bench, or devices with one run
 each. Such sources form one component.
@@ -47,8 +48,8 @@ class Source(Enum):
 ALL_RUNS = "all runs"
 """Label of the only group of `Source.COMMON`."""
 PRIOR = 0.5
-"""Prior probability that a component contributes. It does not depend on the other components, because their causes are
-independent."""
+"""Prior probability that a component contributes. This probability does not depend on the other components, because their causes
+are independent."""
 WEAKEST = 4.0
 """Smallest expected energy σ²·Σ 1/s_r² of a component; a weaker component cannot be distinguished from none and counts as absent."""
 LARGEST = 10.0
@@ -112,8 +113,8 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """Describes the part of an amplitude that belongs to one device, one bench or one occasion. It is computed under the condition
-    that parts of this kind contribute at all.
+    """Describes the part of an amplitude that belongs to one device, one bench or one occasion. The part is computed under the
+    condition that parts of this kind contribute at all.
 
     `level`: the sum of this part and of the part that all runs have in common; the data often determine this sum better than its
     two parts. `difference`: this part minus the average of the parts of the other devices (or benches, or occasions). `level` and

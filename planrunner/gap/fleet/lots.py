@@ -19,7 +19,8 @@ class SharedByLot:
 
     `difference`: mean of the lot minus mean of the others, in the unit of the key. `expanded`: half-width of its 95 % interval.
     Each device contributes one value, the mean of its amplitudes. `others`: number of the other devices. `chance`: probability that
-    a random choice of devices, as many as the lot has, gives exactly this lot. It is 1 divided by the number of possible choices.
+    a random choice of devices, as many as the lot has, gives exactly this lot. This probability is 1 divided by the number of
+    possible choices.
     """
 
     lot: str

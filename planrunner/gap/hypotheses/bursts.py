@@ -117,9 +117,10 @@ def _evidence(
 
 
 def _overdispersion(energy: Array, degrees: float) -> Array:
-    """Returns the overdispersion of the energies (W, K) of windows, shape (K,). It is the variance of the energies divided by their
-    variance for white noise, which is 2·degrees. It exceeds 1 because the level of real noise always varies a little. The variance
-    is computed from the median absolute deviation, which bursts in a few windows do not increase."""
+    """Returns the overdispersion of the energies (W, K) of windows, shape (K,). The overdispersion is the variance of the energies
+    divided by their variance for white noise, which is 2·degrees. The overdispersion exceeds 1 because the level of real noise
+    always varies a little. The variance is computed from the median absolute deviation, which bursts in a few windows do not
+    increase."""
     spread = np.median(np.abs(energy - np.median(energy, axis=0)), axis=0) / _DEVIATION
     return np.asarray(spread**2 / (2 * degrees))
 

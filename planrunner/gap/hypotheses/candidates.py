@@ -162,7 +162,7 @@ class Candidate:
     @property
     def shape_cost(self) -> float:
         """Returns the logarithm of a ratio at the first setting of the noise: the evidence averaged over the shape, divided by the
-        evidence of the best shape. It is never positive."""
+        evidence of the best shape. The result is never positive."""
         return float(self.log_bayes[0]) - max(float(weighed.log_bayes[0]) for weighed in self.variants)
 
     @property
@@ -172,8 +172,8 @@ class Candidate:
 
 class Weighing:
     """Contains a recording with its noise and its nominal model, prepared for the evaluation of effects. A setting of the noise
-    combines a setting of the gyros with a setting of the accelerometers. Its index is (gyro setting) × (number of accelerometer
-    settings) + (accelerometer setting).
+    combines a setting of the gyros with a setting of the accelerometers. The index of a setting is (gyro setting) × (number of
+    accelerometer settings) + (accelerometer setting).
 
     `removed`: array of shape (N, K) in SI units, a signal (for example a line) that is subtracted from the samples before the
     evaluation. `held`: array of shape (N, K), True for samples that are replaced by the fit, such as samples that repeat an earlier
@@ -270,8 +270,8 @@ class Weighing:
 
     def nominal_values(self, taken: Sequence[Array] | None = None) -> list[Array]:
         """Returns, for each channel, the values (q,) of its nominal parameters in magnitudes, in the order of its columns in
-        `whole`. They are fitted by least squares to all coefficients. `taken`: for each channel, the coefficients (M,) that an
-        effect explains; they are subtracted before the fit."""
+        `whole`. The values are fitted by least squares to all coefficients. `taken`: for each channel, the coefficients (M,) that
+        an effect explains; they are subtracted before the fit."""
         found = []
         for index, nominal in enumerate(self.whole):
             design = np.hstack([nominal, self.angles[index]])
@@ -389,8 +389,8 @@ class Weighing:
         return [_without_samples(variant) for variant in variants], raw
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
-        """Returns posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes. They are averaged over all settings of
-        the noise with a random walk of the gyros, or over all settings without a random walk."""
+        """Returns posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes. Mean and covariance are averaged over
+        all settings of the noise with a random walk of the gyros, or over all settings without a random walk."""
         terms = self.base + weighed.log_bayes + self.log_prior[int(walking)]
         share = np.exp(terms - terms.max())
         share /= share.sum()
@@ -508,8 +508,8 @@ def angle_columns(observed: Observed) -> list[Column]:
 
 def of_unknown_phase(observed: Observed, spectrum_: Spectrum) -> Array:
     """Returns the variance of the coefficients due to the nominal input of unknown phase (`Observed.unknown_phase`), SI²·samples,
-    shape (M, K). The cosine and sine components of this input are treated as normal variables. Their standard deviation is the
-    amplitude of the input."""
+    shape (M, K). The cosine and sine components of this input are treated as normal variables. The standard deviation of these
+    variables is the amplitude of the input."""
     amplitude = np.abs(observed.unknown_phase)
     if not amplitude.any():
         return np.zeros((len(spectrum_.segment), len(observed.channels)))

@@ -1,5 +1,5 @@
-"""Finds wrong declarations of signs, axes, units, sense of rotation or mounting. They are found before effects of the sensor are
-evaluated.
+"""Finds wrong declarations of signs, axes, units, sense of rotation or mounting. Wrong declarations are found before effects of the
+sensor are evaluated.
 
 For each triad, the means of the segments are fitted by a bias and a 3×3 matrix M whose elements are all free. With correct
 declarations, M differs from the identity only by scale factors and misalignments. A wrong declaration makes M a signed permutation,
@@ -27,8 +27,8 @@ NEAR = 0.2
 """Largest distance, relative to a factor, at which a row of M agrees with a row of a signed permutation multiplied by this
 factor."""
 FACTOR = 0.03
-"""Largest relative deviation from a known factor. It is larger than usual scale-factor errors, and smaller than half the distance
-between two factors."""
+"""Largest relative deviation from a known factor. This deviation is larger than usual scale-factor errors, and smaller than half
+the distance between two factors."""
 CLEARLY = 3.0
 """Smallest ratio of two root mean square misfits for which the data distinguish the two senses of rotation."""
 SEEN = 0.5

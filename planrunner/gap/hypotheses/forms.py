@@ -218,9 +218,9 @@ def _evidence(weighing: Weighing, form: Weighed) -> float:
 
 def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: float) -> tuple[float, float]:
     """Returns the most probable shape and the standard deviation of its logarithm. The search starts on the grid and continues
-    beyond it if the best shape is at an edge. It then refines between the best shape and its neighbours until the neighbours are
-    within one standard deviation. For a shape that the data barely constrain, the standard deviation is limited by the width of the
-    grid. `near`: a shape near which the search starts, NaN if none is known."""
+    beyond it if the best shape is at an edge. Then the search adds shapes between the best shape and its neighbours, until the
+    neighbours are within one standard deviation. For a shape that the data barely constrain, the standard deviation is limited by
+    the width of the grid. `near`: a shape near which the search starts, NaN if none is known."""
     known: dict[float, float] = {}
     new = np.log(effect.grid(seen))
     widest = float(np.ptp(new)) / (2 * _SPAN)

@@ -52,12 +52,12 @@ class Line:
 @dataclass(frozen=True)
 class Kinds:
     """Contains the evidence for the patterns outside the catalogue (competitors). `log_bayes`: for each competitor, an array of
-    shape (G,): the log Bayes factor of the competitor, relative to no pattern, at each setting of the noise. It is −∞ for settings
-    with a random walk of the gyros' bias. `several`: array of shape (G,), log Bayes factor of combinations of patterns of different
-    kinds. `by_channel`: for each competitor, an array of shape (K,): the log Bayes factor of the competitor in each channel alone,
-    at the first setting of the noise. `outside`: log Bayes factor of the patterns outside the coefficients. No effect of the
-    catalogue acts outside the coefficients, so these patterns are independent of every effect. `lines`: the strongest tone of each
-    channel that shows a tone.
+    shape (G,): the log Bayes factor of the competitor, relative to no pattern, at each setting of the noise. The factor is −∞ for
+    settings with a random walk of the gyros' bias. `several`: array of shape (G,), log Bayes factor of combinations of patterns of
+    different kinds. `by_channel`: for each competitor, an array of shape (K,): the log Bayes factor of the competitor in each
+    channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns outside the coefficients. No
+    effect of the catalogue acts outside the coefficients, so these patterns are independent of every effect. `lines`: the strongest
+    tone of each channel that shows a tone.
     """
 
     log_bayes: dict[Pattern, Array]
@@ -94,10 +94,10 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
 
 
 def something_else(weighing: Weighing, signatures: Sequence[Array] = ()) -> float:
-    """Returns the log Bayes factor of the patterns of the coefficients, single and in combination, against no pattern. It is
-    computed at the most probable setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the evidence
-    for something else in addition to these effects. `signatures`: for each channel, the coefficients (M,) that these effects
-    cause."""
+    """Returns the log Bayes factor of the patterns of the coefficients, single and in combination, against no pattern. The factor
+    is computed at the most probable setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the
+    evidence for something else in addition to these effects. `signatures`: for each channel, the coefficients (M,) that these
+    effects cause."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
@@ -365,8 +365,8 @@ def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: fl
 
 def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> float:
     """Searches closely spaced frequencies around `frequency` for the highest power. Returns the distance of the best frequency from
-    `frequency`, Hz. The samples (n,) are first shifted to frequency zero. They then change little within a block of time, so sums
-    over blocks are sufficient."""
+    `frequency`, Hz. The samples (n,) are first shifted to frequency zero. The shifted samples change little within a block of time,
+    so sums over blocks are sufficient."""
     place = ((time - time[0]) * (_BLOCKS / (time[-1] - time[0]) * (1 - 1e-9))).astype(np.int64)
     shifted = samples * np.exp(-2j * np.pi * frequency * time)
     sums = np.bincount(place, shifted.real, _BLOCKS) + 1j * np.bincount(place, shifted.imag, _BLOCKS)

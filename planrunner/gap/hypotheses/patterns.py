@@ -1,8 +1,8 @@
 """Describes patterns of the coefficients that effects of the catalogue do not cause. These are the possible forms of "something
 else". Each pattern is a design, that is, a set of columns.
 
-The patterns are offsets, scale-like errors, transients and waveforms per turn or per rocking period. They differ from segment to
-segment, or change smoothly with rate, gravity, temperature or time.
+The patterns are offsets, scale-like errors, transients and waveforms per turn or per rocking period. Patterns differ from segment
+to segment, or change smoothly with rate, gravity, temperature or time.
 """
 
 from __future__ import annotations
@@ -153,10 +153,10 @@ def sorts(weighing: Weighing) -> dict[Sort, Rows]:
 
 
 def factors(weighing: Weighing) -> Iterator[PatternDesign]:
-    """Yields patterns that effects of the catalogue can also follow, with designs like those of `designs`. They are used to locate
-    the gap, and they do not count as unknown. Each factor is included in its simplest form, so that a factor with few parameters
-    can prevail over a factor that needs many. A rotation about the vertical does not change the input of an accelerometer. It does
-    change the input of a gyro, because of the Earth's rate.
+    """Yields patterns that effects of the catalogue can also follow, with designs like those of `designs`. These patterns are used
+    to locate the gap, and they do not count as unknown. Each factor is included in its simplest form, so that a factor with few
+    parameters can prevail over a factor that needs many. A rotation about the vertical does not change the input of an
+    accelerometer. The same rotation changes the input of a gyro, because of the Earth's rate.
     """
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = range(len(observed))
@@ -265,8 +265,8 @@ def _state(observed: Observed, segment: int, fast: bool = True) -> str:
 
 
 def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Array:
-    """Returns smooth functions of a coordinate, shape (S, at most `most`). They are cosines, of orders 1 to `most`, of the position
-    of the coordinate within its range. Each order has the weight 1/order^fading."""
+    """Returns smooth functions of a coordinate, shape (S, at most `most`). The functions are cosines, of orders 1 to `most`, of the
+    position of the coordinate within its range. Each order has the weight 1/order^fading."""
     span = float(np.ptp(values))
     if span <= 0:
         return np.zeros((len(values), 0))

@@ -54,7 +54,8 @@ _OF_TEMPERATURE = (
     (re.compile(r"[^a-z]f[^a-z]*$", re.IGNORECASE), "degF"),
     (re.compile(r"[^a-z]k[^a-z]*$", re.IGNORECASE), "K"),
 )
-"""Temperature units that a single letter at the end of a name states. They are used only if the name denotes a temperature."""
+"""Temperature units that a single letter at the end of a name states. These units are used only if the name denotes a
+temperature."""
 _SENSED_IN = {
     **dict.fromkeys(("rad/s", "mrad/s", "deg/s", "mdeg/s", "deg/h"), "gyro"),
     **dict.fromkeys(("m/s^2", "mg", "ug"), "accel"),
@@ -130,8 +131,8 @@ _UNIT_ALONE = re.compile(
 class LikelyTime:
     """The column that probably contains the time.
 
-    `column`: name of the column. `unit`: unit of the values of the column. It is s if `per_second` is given, and `date_time` or
-    `time_of_day` for texts. `rate`: sample rate, Hz. `per_second`: counts per second if the column is a counter, otherwise None.
+    `column`: name of the column. `unit`: unit of the values of the column. The unit is s if `per_second` is given, and `date_time`
+    or `time_of_day` for texts. `rate`: sample rate, Hz. `per_second`: counts per second if the column is a counter, otherwise None.
     `wraps`: value at which the counter returns to zero; None if it never does. `sure`: True if the name of the column states the
     unit, or if this unit leads to a sample rate that the file states. `line`: the line of the file from which `per_second` was
     guessed, otherwise empty. `shared`: True if several rows share a time, so that rows must be counted."""

@@ -56,7 +56,7 @@ class JsonKeys(Record):
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Where a file contains its samples.
+    """Describes the place of the samples in a file.
 
     `samples`: the keys that lead to the list of samples; None if the values of the file follow each other, and each is a sample.
     `columns`: for each column, the keys and positions that lead to its number in a sample. `held`: the columns of a file that

@@ -32,7 +32,7 @@ class Arriving(Protocol):
 
 
 class SegmentStream:
-    """The stream of one segment. It takes `wanted` samples after the time `start` [s by the bench's clock].
+    """The stream of one segment. The stream takes `wanted` samples after the time `start` [s by the bench's clock].
 
     `byte_time`: time per byte on the line, s. `skew`: relative skew of the sensor's clock, as determined from earlier frames.
     `haste`: seconds of the bench's clock per second of real time. `over`: True after all samples have been returned. `heard`:

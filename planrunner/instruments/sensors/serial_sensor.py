@@ -41,8 +41,8 @@ class FirstFrames:
     """Contains the first frames after connecting, and what they show.
 
     `seconds`: time between the first and the last good frame; frames that waited in buffers do not count. `heard`: time of the last
-    good frame. `haste`: seconds of the bench's clock per second of real time. It is needed because buffers are filled and read in
-    real time.
+    good frame. `haste`: seconds of the bench's clock per second of real time. `haste` is necessary because buffers are filled and
+    read in real time.
     """
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
@@ -98,7 +98,7 @@ class FirstFrames:
 
 
 POLL = 0.05
-"""Time between two blocks, s. It is also the longest delay of a stop."""
+"""Time between two blocks, s. This time is also the longest delay of a stop."""
 LISTENING = 0.5
 """Duration of the frames that are used to check the rate after connecting, s."""
 LISTENINGS = 3

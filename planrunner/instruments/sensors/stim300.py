@@ -2,8 +2,8 @@
 normal mode.
 
 A datagram begins with its identifier. For each cluster, three axes of 24 bits and a status byte follow; then the temperatures of
-the clusters, PPS or AUX, a counter of internal samples at 2000 Hz, and the latency in µs. It ends with a CRC-32 over all of this,
-padded with zeros to whole words.
+the clusters, PPS or AUX, a counter of internal samples at 2000 Hz, and the latency in µs. The datagram ends with a CRC-32 over all
+of these bytes, padded with zeros to whole words.
 """
 
 from __future__ import annotations

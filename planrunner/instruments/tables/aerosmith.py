@@ -1,8 +1,8 @@
 """Drives single-axis tables of Ideal Aerosmith over a serial line, in their table language ATL. The driver is experimental.
 
-It is based only on open-source drivers. A command consists of a mnemonic and a number; the reply consists of a line and a prompt.
-The controller replies to commands for jogging and rocking only when the motion ends; this driver does not wait for that reply. The
-open-source drivers mention no limit that stops the table.
+The only sources of this driver are open-source drivers. A command consists of a mnemonic and a number; the reply consists of a line
+and a prompt. The controller replies to commands for jogging and rocking only when the motion ends; this driver does not wait for
+that reply. The open-source drivers mention no limit that stops the table.
 """
 
 from __future__ import annotations

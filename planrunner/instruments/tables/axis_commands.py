@@ -50,11 +50,11 @@ class AxisCommands(Commands, Protocol):
         """Sets the limits that the axis enforces by itself; returns one line of text for each limit that was set."""
 
     def energise(self) -> None:
-        """Makes the axes ready to move. It is called before the first move, and again after `switch_off`."""
+        """Makes the axes ready to move. The method is called before the first move, and again after `switch_off`."""
 
     def go_to(self, positions: Mapping[int, float], here: Mapping[int, float]) -> None:
-        """Moves axes to positions and holds them there. `here`: the present positions of the axes. They are needed because an axis
-        that changes to its position mode is first commanded to hold its present position."""
+        """Moves axes to positions and holds them there. `here`: the present positions of the axes. The positions are necessary
+        because an axis that changes to its position mode is first commanded to hold its present position."""
 
     def turn(self, axis: int, rate: float) -> None: ...
     def rock(self, sines: Mapping[int, Sine]) -> None: ...

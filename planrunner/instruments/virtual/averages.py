@@ -103,8 +103,8 @@ def _snapped(position: float) -> float:
 
 @lru_cache(maxsize=64)
 def _points(phase: float) -> tuple[tuple[float, float], ...]:
-    """Returns the points of a quadrature over an interval of length one, each with its position and weight. They are sufficient for
-    phases that change by up to `phase` rad within the interval."""
+    """Returns the points of a quadrature over an interval of length one, each with its position and weight. The points are
+    sufficient for phases that change by up to `phase` rad within the interval."""
     order = 1 if phase <= _ONE_POINT else 2 if phase <= _TWO_POINTS else 3
     panels = max(1, math.ceil(phase / _THREE_POINTS))
     places, weights = np.polynomial.legendre.leggauss(order)

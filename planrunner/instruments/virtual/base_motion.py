@@ -32,7 +32,7 @@ def shaking(world: World, times: Array, lever_arm: Sequence[float]) -> Array:
     """Computes the acceleration of a point in East-North-Up [m/s^2], shape (n, 3). The point is at `lever_arm` [m, in axes of the
     base] from the centre of the rings.
 
-    It is the second difference of the position, so it contains the tangential and the centripetal part.
+    The acceleration is the second difference of the position, so it contains the tangential and the centripetal part.
     """
     if world.course.still(float(times[0])) or not any(lever_arm):
         return np.zeros((times.size, 3))

@@ -1,4 +1,4 @@
-"""The virtual carrier: moves the whole bench over the Earth, like a ship or vehicle. It changes nothing on the bench."""
+"""The virtual carrier: moves the whole bench over the Earth, like a ship or vehicle. The carrier changes nothing on the bench."""
 
 from __future__ import annotations
 

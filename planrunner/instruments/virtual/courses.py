@@ -259,8 +259,8 @@ def profile(distance: float, max_rate: float, acceleration: float) -> tuple[floa
 
 
 def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: float) -> tuple[Array, Array]:
-    """Computes the angle [rad] and the rate [rad/s] of a move from rest to rest, at the times `elapsed` [s]. They are constant
-    before and after the move. `distance`: length of the move, rad, which may be negative."""
+    """Computes the angle [rad] and the rate [rad/s] of a move from rest to rest, at the times `elapsed` [s]. Before and after the
+    move, angle and rate are constant. `distance`: length of the move, rad, which may be negative."""
     size, sign = np.abs(distance), np.sign(distance)
     peak = np.minimum(max_rate, np.sqrt(size * acceleration))
     up = peak / acceleration

@@ -68,8 +68,9 @@ def isometric_latitude(latitude: Latitude) -> Any:
 
 
 def normal_gravity(latitude: Latitude, height: float) -> Any:
-    """Returns the normal gravity [m/s^2] at `height` [m] above the ellipsoid, by Somigliana's formula and TR8350.2 (4-3). It is the
-    component along the normal of the ellipsoid. The component towards north, 8·10⁻⁹ m/s² per metre of height, is neglected."""
+    """Returns the normal gravity [m/s^2] at `height` [m] above the ellipsoid, by Somigliana's formula and TR8350.2 (4-3). The
+    normal gravity is the component along the normal of the ellipsoid. The component towards north, 8·10⁻⁹ m/s² per metre of height,
+    is neglected."""
     squared = np.sin(latitude) ** 2
     surface = _GRAVITY_EQUATOR * (1 + _SOMIGLIANA * squared) / np.sqrt(1 - ECCENTRICITY_SQUARED * squared)
     first = 1 + FLATTENING + _CENTRIFUGAL - 2 * FLATTENING * squared

@@ -4,7 +4,7 @@ The loops drive currents through the torquers. The currents turn (precess) the r
 pulses, therefore measure the input. Torquer Y turns the rotor at the rate SF_Y·i_x along (cos ε, sin ε), and torquer X at the rate
 SF_X·i_y along (−sin(ε+ξ), cos(ε+ξ)), both in the plane of (ω_Y, ω_X). The sum of these two rates must balance (ω_Y + D(X), ω_X +
 D(Y)). The drifts D(X) and D(Y) each have a constant part and parts proportional to the specific force along X, Y and Z (patent
-CN100554884C). The simulation solves this balance. It has no formula in common with the estimators.
+CN100554884C). The simulation solves this balance. The simulation has no formula in common with the estimators.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class VirtualFlexureGyroParameters(Record):
 
 
 def _flicker(parameters: VirtualFlexureGyroParameters) -> float:
-    """Returns the coefficient B of the flicker noise [pulse/s]. It is zero if the bench file states none."""
+    """Returns the coefficient B of the flicker noise [pulse/s]. B is zero if the bench file does not state it."""
     return parameters.bias_instability.value if parameters.bias_instability is not None else 0.0
 
 

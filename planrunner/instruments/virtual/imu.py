@@ -1,8 +1,8 @@
 """Simulates an inertial sensor: gyros and accelerometers on the table of the virtual world. The gyros and accelerometers integrate
 their input.
 
-A sample is the mean over its sampling interval; its time is the end of the interval. The error model is in `inertial_axis.py`. It
-has no formula in common with the estimators."""
+A sample is the mean over its sampling interval; its time is the end of the interval. The error model is in `inertial_axis.py`. The
+error model has no formula in common with the estimators."""
 
 from __future__ import annotations
 

@@ -267,8 +267,8 @@ def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
 
 
 class VirtualImuParameters(Record):
-    """Declares the bench-file keys of a simulated inertial sensor whose true errors are known. It has gyros, accelerometers or
-    both, and a thermometer."""
+    """Declares the bench-file keys of a simulated inertial sensor whose true errors are known. The sensor has gyros, accelerometers
+    or both, and a thermometer."""
 
     kind: str = key(
         Text(KIND, "a kind of sensor", "lower-case letters, digits and -, such as gyro-triad"),

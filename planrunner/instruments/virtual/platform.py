@@ -206,15 +206,15 @@ class VirtualPlatform:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
-        """Returns the random generator for one caging; number 0 stands for the platform as built. It is independent of the
-        generators of the segments."""
+        """Returns the random generator for one caging; number 0 stands for the platform as built. This generator is independent of
+        the generators of the segments."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )
 
     def _cage(self) -> None:
-        """Cages the element. The caged element is level within the dead region of the levelling loops. Its azimuth differs from
-        caging to caging by the stated repeatability."""
+        """Cages the element. The caged element is level within the dead region of the levelling loops. The azimuth of the element
+        differs from caging to caging by the stated repeatability."""
         p, draw = self.parameters, self._draw(self.cagings)
         base = base_axes(self.world, np.array([self.world.now()]))[0]
         up = base[:, 2]

@@ -179,7 +179,7 @@ class VirtualTable:
         return rotation_about(tuple(vector / angle), angle)
 
     def rate_error(self, rate: float) -> float:
-        """Returns the relative error of a commanded rate [rad/s]. It depends only on the seed and the rate."""
+        """Returns the relative error of a commanded rate [rad/s]. The error depends only on the seed and the rate."""
         size = self.parameters.rate_error.value
         return size * float(self._drawn(np.rint(np.array([rate]) * 1e9).astype(np.int64), 1)[0]) if size else 0.0
 

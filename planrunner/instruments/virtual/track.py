@@ -115,8 +115,8 @@ class Track:
         return place.longitude_rate * parallel, place.latitude_rate * meridian
 
     def felt(self, times: Array, earth_rate: float) -> tuple[Vector, Vector]:
-        """Returns the inertial rate [rad/s] and the specific force [m/s^2] of the bench. They are in the bench's own East-North-Up
-        axes, whose north is the heading of the bench.
+        """Returns the inertial rate [rad/s] and the specific force [m/s^2] of the bench. The components refer to the bench's own
+        East-North-Up axes, whose north is the heading of the bench.
 
         In true East-North-Up axes, f = v̇ + (2·Ω + ω_en) × v − g.
         """

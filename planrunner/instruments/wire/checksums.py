@@ -1,9 +1,9 @@
 """Computes checksums of many frames in one call: cyclic redundancy checks (CRC) of up to 32 bits, sums and exclusive-or.
 
-A CRC is a polynomial division. It is computed in the upper part of a 32-bit register, so that CRC-8, CRC-16 and CRC-32 use the same
-kernel with different tables. Each step processes eight bytes ("slicing by 8": Kounavis and Berry, A systematic approach to building
-high performance, software-based CRC generators, ISCC 2005). If all frames have the same length, there is a separate table for every
-byte position, so that bytes can be processed independently of each other.
+A CRC is a polynomial division. The CRC is computed in the upper part of a 32-bit register, so that CRC-8, CRC-16 and CRC-32 use the
+same kernel with different tables. Each step processes eight bytes ("slicing by 8": Kounavis and Berry, A systematic approach to
+building high performance, software-based CRC generators, ISCC 2005). If all frames have the same length, there is a separate table
+for every byte position, so that bytes can be processed independently of each other.
 """
 
 from __future__ import annotations

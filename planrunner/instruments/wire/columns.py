@@ -14,9 +14,9 @@ from planrunner.instruments.wire.framing import Frames
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """Describes a number at the byte `offset` of every frame. Its value is the encoded number multiplied by `scale`. `kind`:
-    UNSIGNED or SIGNED with a `width` of 1 to 8 bytes; FLOAT with a width of 4 or 8; or FRACTION_FIRST (32 bits of the fraction,
-    then 16 bits of the integer). Integers are exact up to 53 bits; with `whole_numbers`, up to 64 bits."""
+    """Describes a number at the byte `offset` of every frame. The value of the number is the encoded number multiplied by `scale`.
+    `kind`: UNSIGNED or SIGNED with a `width` of 1 to 8 bytes; FLOAT with a width of 4 or 8; or FRACTION_FIRST (32 bits of the
+    fraction, then 16 bits of the integer). Integers are exact up to 53 bits; with `whole_numbers`, up to 64 bits."""
 
     offset: int
     width: int

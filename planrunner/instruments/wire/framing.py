@@ -54,8 +54,8 @@ class Piece:
 @dataclass(frozen=True, slots=True)
 class Frames:
     """The good frames in `data`. `starts`, `lengths`: arrays of shape (n,), start and length of each frame. `received`: array of
-    shape (n,) in s. It is the time at which the last byte of each frame was read, minus the time that the frame takes on the
-    line."""
+    shape (n,) in s. `received` is the time at which the last byte of each frame was read, minus the time that the frame takes on
+    the line."""
 
     data: Bytes
     starts: NDArray[np.int64]
@@ -130,7 +130,7 @@ class Framer:
 
 @lru_cache(maxsize=32)
 def _positions(framing: Framing) -> tuple[NDArray[np.uint32], int]:
-    """Returns the tables of `Checksum.by_position` for the bytes that the checksum covers. They are empty if the frames have
+    """Returns the tables of `Checksum.by_position` for the bytes that the checksum covers. The tables are empty if the frames have
     different lengths, or if the checksum is not a CRC."""
     covered = framing.longest - framing.check_bytes - framing.covered_from
     if framing.rule != FIXED or framing.checksum.kind != CRC or not 0 < covered <= MOST_TABLES:

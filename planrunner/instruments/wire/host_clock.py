@@ -64,8 +64,8 @@ class Unwrapping:
 
     counter: FrameCounter
     haste: float = 1.0
-    """Seconds of the readings' clock per second of real time. It differs from 1 for an accelerated simulated sensor. Delays of the
-    computer always follow real time."""
+    """Seconds of the readings' clock per second of real time. The ratio differs from 1 for an accelerated simulated sensor. Delays
+    of the computer always follow real time."""
     _raw: int = 0
     _index: int = 0
     _received: float = math.nan
@@ -137,8 +137,8 @@ class Unwrapping:
 @dataclass
 class HostClock:
     """Determines the line that relates a counter to the computer's clock. `skew`: relative skew, positive if the ticks of the
-    sensor are longer than nominal. Its initial value is used until there are enough readings. `usual_delay`, `worst_delay`: median
-    and largest delay of reading frames relative to the line, s."""
+    sensor are longer than nominal. The initial value of `skew` is used until there are enough readings. `usual_delay`,
+    `worst_delay`: median and largest delay of reading frames relative to the line, s."""
 
     counter: FrameCounter
     skew: float = 0.0

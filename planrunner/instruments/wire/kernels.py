@@ -43,8 +43,8 @@ def _mirrored(number, bits):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _word(data, place, little):  # type: ignore[no-untyped-def]
-    """Returns four bytes, combined to a number. `place`: index of the first byte. Its type must be unsigned, so that numba need not
-    check for a negative index."""
+    """Returns four bytes, combined to a number. `place`: index of the first byte. The type of `place` must be unsigned, so that
+    numba need not check for a negative index."""
     first, second = np.uint32(data[place]), np.uint32(data[place + np.uintp(1)])
     third, fourth = np.uint32(data[place + np.uintp(2)]), np.uint32(data[place + np.uintp(3)])
     if little:

@@ -181,8 +181,8 @@ class MessageLink:
         """Sends `text` and returns the answer, without its terminator and without blanks at its ends.
 
         `after`: commands that are sent immediately before `text`. `again`: True if the request may be repeated on a new connection
-        when there is no answer. It must be False for commands that change the instrument. `framing`: framing of this answer, if it
-        differs from the framing of other answers.
+        when there is no answer. `again` must be False for commands that change the instrument. `framing`: framing of this answer,
+        if it differs from the framing of other answers.
         """
         tries = self.settings.tries if again and not after else 1
         with self._held(f"'{text}'"):
@@ -203,13 +203,13 @@ class MessageLink:
         return told
 
     def doubt(self) -> None:
-        """Restarts the link as after a failure. It must be called if the received data are not the reply to the request, because
-        the true reply may still arrive."""
+        """Restarts the link as after a failure. The method must be called if the received data are not the reply to the request,
+        because the true reply may still arrive."""
         with self._lock:
             self._give_up()
 
     def close(self) -> None:
-        """Releases the resource. It may be called twice."""
+        """Releases the resource. The method may be called twice."""
         resource, self._resource = self._resource, None
         if resource is not None:
             with contextlib.suppress(Exception):  # a dead link cannot be closed politely

@@ -21,7 +21,7 @@ CAPACITY = 8 * 2**20
 NEWEST = 2**16
 """Number of bytes that are kept if nobody reads the buffer."""
 PAUSE = 0.004
-"""Time between two reads, s. It is long enough to need little computing time. It is short compared with the time in which the
+"""Time between two reads, s. The time is long enough to need little computing time. It is short compared with the time in which the
 buffer of the operating system fills up (22 ms for 4 kB at 1.8 Mbit/s)."""
 TIMEOUT = 0.05
 MOST = 2**16
@@ -131,7 +131,7 @@ class SerialStream:
             ) from None
 
     def close(self) -> None:
-        """Ends the thread that reads, and closes the port. It may be called twice."""
+        """Ends the thread that reads, and closes the port. The method may be called twice."""
         self._closing.set()
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout=2.0)

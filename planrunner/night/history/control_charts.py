@@ -148,15 +148,15 @@ def cusum(
 
 
 def control_charts(values: Sequence[float], u: Sequence[float], baseline: int = BASELINE) -> ControlCharts | None:
-    """Returns all charts of n ≥ 2 values in the order of time, with their standard uncertainties. None if there are no limits,
-    because the values do not scatter at all and state no uncertainty."""
+    """Returns all charts of n ≥ 2 values in the order of time, with their standard uncertainties. The result is None if there are
+    no limits, because the values do not scatter at all and state no uncertainty."""
     x, s = np.asarray(values, dtype=float), np.asarray(u, dtype=float)
     return charts_about(x, s, centre_of(x, s, baseline)) if len(x) > 1 else None
 
 
 def charts_about(x: Array, u: Array, centre: Centre) -> ControlCharts | None:
-    """Returns all charts of the values x (n,) with the standard uncertainties u (n,) about a given centre line. None if there are
-    no limits."""
+    """Returns all charts of the values x (n,) with the standard uncertainties u (n,) about a given centre line. The result is None
+    if there are no limits."""
     sigma = np.sqrt(u**2 + centre.between**2)
     if not (sigma > 0).all():
         return None

@@ -1,9 +1,9 @@
-"""Maintains an index of the run folders in an archive. It contains the runs with their coefficients and verdicts.
+"""Maintains an index of the run folders in an archive. The index contains the runs with their coefficients and verdicts.
 
-The run folders are the original data; the index is a copy for quick answers. It can be made again from the folders at any time.
-Each run is replaced in one transaction, so that a reader sees every run in a consistent state, even while the index is refreshed or
-rebuilt. Several processes may refresh an index at the same time; each of them writes the runs that it has read. If a folder changed
-in the meantime, the next refresh reads it again.
+The run folders are the original data; the index is a copy for quick answers. The index can be made again from the folders at any
+time. Each run is replaced in one transaction, so that a reader sees every run in a consistent state, even while the index is
+refreshed or rebuilt. Several processes may refresh an index at the same time; each of them writes the runs that it has read. If a
+folder changed in the meantime, the next refresh reads it again.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class Index:
 
     @property
     def database(self) -> str:
-        """Returns the name of the database for messages. It contains no password."""
+        """Returns the name of the database for messages. The name contains no password."""
         return self._database.name
 
     def _make_tables(self) -> None:
