@@ -276,7 +276,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
             raise UnfitDataError(str(error)) from None
         raise
     described = described_range(phase, chosen, terms, lambda: _hadamard(phase, chosen, parameters))
-    fit = described.fit
+    fit, covariance = described.fit, described.covariance
     widening = _judge(result, described)
     units = result.sensed.units if result.sensed else coefficient_units(result.unit)
     roots = squares_to_coefficients(phase.interval)
@@ -284,7 +284,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
     for term in terms:
         k = TERMS.index(term)
         text, factor = units[term]
-        value, spread = root_of(fit.squares[k], math.sqrt(fit.covariance[k, k]) * widening)
+        value, spread = root_of(fit.squares[k], math.sqrt(covariance[k, k]) * widening)
         scale = roots[term] * factor
         spreads.append(spread * scale)
         found = Coefficient(
@@ -296,7 +296,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
             role=CoefficientRole.SCALE,
         )
         result.coefficients.append(found)
-        if fit.squares[k] < _SIGNIFICANT * math.sqrt(fit.covariance[k, k]) * widening:
+        if fit.squares[k] < _SIGNIFICANT * math.sqrt(covariance[k, k]) * widening:
             bound = (value + 2 * spread) * scale
             result.notes.append(
                 said(
@@ -308,7 +308,7 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
                 )
             )
     index = [TERMS.index(term) for term in terms]
-    inner = fit.covariance[np.ix_(index, index)]
+    inner = covariance[np.ix_(index, index)]
     size = np.sqrt(np.diag(inner))
     result.covariance = inner / np.outer(size, size) * np.outer(spreads, spreads)
     result.plot = _plot(result, described)

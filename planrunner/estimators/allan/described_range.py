@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.allan.fit import ALLAN, HADAMARD, TERMS, NoiseFit, covariance_for, fit_noise
 from planrunner.estimators.allan.phase import Phase
@@ -37,8 +38,9 @@ class DescribedRange:
     """The averaging times that the noise model describes.
 
     `fitted`: the deviations to which `fit` was fitted; these are Hadamard deviations if `drift` is given. `shorter`, `longer`:
-    number of averaging times omitted at the short and at the long end. `fits`: True if the model describes the remaining averaging
-    times. `probability`: if the model is right, the probability of a χ² at least as large as the χ² found.
+    number of averaging times omitted at the short and at the long end. `distortions`: array of shape (r, 4), for each of these ends
+    the change of the squared coefficients if one more averaging time is omitted there. `fits`: True if the model describes the
+    remaining averaging times. `probability`: if the model is right, the probability of a χ² at least as large as the χ² found.
     """
 
     fit: NoiseFit
@@ -46,6 +48,16 @@ class DescribedRange:
     shorter: int = 0
     longer: int = 0
     drift: SteadyDrift | None = None
+    distortions: Array = field(default_factory=lambda: np.zeros((0, len(TERMS))))
+
+    @property
+    def covariance(self) -> Array:
+        """Returns the covariance (4, 4) of the squared coefficients, including what the omitted averaging times may have left in them.
+
+        The end of the range was chosen by the same deviations that are fitted. Whatever changed the omitted deviations also changes
+        those next to them, by less than the χ² test can show. The change of the coefficients with one averaging time fewer is an
+        estimate of this distortion, and counts as a systematic error that is not corrected (JCGM 100:2008, F.2.4.5)."""
+        return np.asarray(self.fit.covariance + self.distortions.T @ self.distortions)
 
     @cached_property
     def probability(self) -> float:
@@ -99,7 +111,14 @@ class _Ranges:
         most = len(self.rows) - len(self.terms) - _SPARE
         ends = [(shorter, fewer - shorter) for fewer in range(1, most + 1) for shorter in range(fewer, -1, -1)]
         fitting = [one for pair in ends if (one := self.without(*pair)).fits]
-        return next((one for one in fitting if one.probability >= _BELIEF), fitting[0] if fitting else self.whole)
+        chosen = next((one for one in fitting if one.probability >= _BELIEF), fitting[0] if fitting else None)
+        return self.whole if chosen is None else replace(chosen, distortions=self._distortions(chosen))
+
+    def _distortions(self, chosen: DescribedRange) -> Array:
+        shorter, longer = chosen.shorter, chosen.longer
+        fewer = [(shorter + 1, longer)] * bool(shorter) + [(shorter, longer + 1)] * bool(longer)
+        moved = [self.without(*pair).fit.squares - chosen.fit.squares for pair in fewer]
+        return np.reshape(moved, (-1, len(TERMS)))
 
     def without(self, shorter: int, longer: int) -> DescribedRange:
         end = len(self.rows) - longer
