@@ -11,8 +11,6 @@ from exact_allan_coverage import POWER, distribution, exact_coverage, true_varia
 from scipy.stats import binom, chi2
 
 from planrunner.estimators.allan.confidence import degrees_of_freedom
-from tests.worlds.campaigns import CAMPAIGNS
-from tests.worlds.coverage import tally, world_of
 
 RECORDS, SAMPLES = 2000, 1024
 SCATTER = math.sqrt(0.95 * 0.05 / RECORDS)
@@ -75,13 +73,3 @@ def test_intervals_of_coefficients(noise: dict[str, float]) -> None:
     for name, (inside, bias, scatter) in coefficient_coverage(RECORDS, seed=71, **noise).items():
         assert inside > 0.95 - 4 * SCATTER - 0.01, (name, inside)
         assert abs(bias) < 0.5 and 0.5 < scatter < 1.2, (name, bias, scatter)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("world", ["20 Hz line", "rounding carried over"])
-def test_a_range_of_averaging_times_that_the_data_chose_does_not_make_intervals_too_narrow(world: str) -> None:
-    """Whatever changes the omitted averaging times changes those next to them a little, too. 60 squares of a standard normal error have
-    the mean 1 and a standard deviation of √(2/60)."""
-    seen = tally(CAMPAIGNS["allan_deviation"], world_of("allan_deviation", world), 60, 51)
-    assert not seen.failed
-    assert seen.squares["N_gyro_z"] / seen.runs < 1 + 4 * math.sqrt(2 / 60)

@@ -11,6 +11,8 @@ import simulated_noise
 from recorded import from_samples, segment, sensor
 
 from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
+from planrunner.estimators.allan.described_range import DescribedRange, distortion
+from planrunner.estimators.allan.fit import TERMS, NoiseFit
 from planrunner.estimators.interface import Estimate, EstimateRequest
 from planrunner.physics.earth import Site
 
@@ -44,6 +46,20 @@ def test_a_line_at_20_hz_does_not_move_the_random_walk(seed: int) -> None:
     assert error(found, "N", 1.0) < 3.5
     assert found["N_gyro"].standard_uncertainty < 0.25
     assert [text for text in found.warnings if "At shorter averaging times" in text]
+
+
+def test_a_change_beyond_chance_is_added_to_the_uncertainties() -> None:
+    """Variances of 4 and 9: by chance, the change has the variance 5. A change of 3 leaves √(9 − 5) = 2, and one of −1 leaves nothing."""
+    moved = np.array([3.0, -3.0, -1.0, 0.0])
+    chosen, fewer = (
+        NoiseFit(squares, variance * np.eye(4), np.zeros(0), 1.0, 2, TERMS)
+        for squares, variance in ((np.ones(4), 4.0), (1 + moved, 9.0))
+    )
+    left = distortion(chosen, fewer)
+    assert left == pytest.approx([2.0, -2.0, 0.0, 0.0])
+    ranged = DescribedRange(chosen, (), shorter=1, distortions=left[None])
+    assert ranged.covariance[:2, :2] == pytest.approx(np.array([[8.0, -4.0], [-4.0, 8.0]]))
+    assert ranged.covariance[2:, 2:] == pytest.approx(4 * np.eye(2))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -39,8 +39,9 @@ class DescribedRange:
 
     `fitted`: the deviations to which `fit` was fitted; these are Hadamard deviations if `drift` is given. `shorter`, `longer`:
     number of averaging times omitted at the short and at the long end. `distortions`: array of shape (r, 4), for each of these ends
-    the change of the squared coefficients if one more averaging time is omitted there. `fits`: True if the model describes the
-    remaining averaging times. `probability`: if the model is right, the probability of a χ² at least as large as the χ² found.
+    the change beyond chance of the squared coefficients if one more averaging time is omitted there. `fits`: True if the model
+    describes the remaining averaging times. `probability`: if the model is right, the probability of a χ² at least as large as the
+    χ² found.
     """
 
     fit: NoiseFit
@@ -55,8 +56,9 @@ class DescribedRange:
         """Returns the covariance (4, 4) of the squared coefficients, including what the omitted averaging times may have left in them.
 
         The end of the range was chosen by the same deviations that are fitted. Whatever changed the omitted deviations also changes
-        those next to them, by less than the χ² test can show. The change of the coefficients with one averaging time fewer is an
-        estimate of this distortion, and counts as a systematic error that is not corrected (JCGM 100:2008, F.2.4.5)."""
+        those next to them, by less than the χ² test can show. The change of the coefficients with one averaging time fewer,
+        as far as it is not chance, is an estimate of this distortion. It counts as a systematic error that is not corrected (JCGM
+        100:2008, F.2.4.5)."""
         return np.asarray(self.fit.covariance + self.distortions.T @ self.distortions)
 
     @cached_property
@@ -117,8 +119,7 @@ class _Ranges:
     def _distortions(self, chosen: DescribedRange) -> Array:
         shorter, longer = chosen.shorter, chosen.longer
         fewer = [(shorter + 1, longer)] * bool(shorter) + [(shorter, longer + 1)] * bool(longer)
-        moved = [self.without(*pair).fit.squares - chosen.fit.squares for pair in fewer]
-        return np.reshape(moved, (-1, len(TERMS)))
+        return np.reshape([distortion(chosen.fit, self.without(*pair).fit) for pair in fewer], (-1, len(TERMS)))
 
     def without(self, shorter: int, longer: int) -> DescribedRange:
         end = len(self.rows) - longer
@@ -129,6 +130,15 @@ class _Ranges:
         return DescribedRange(
             fit_noise(factors, variances, freedom, self.lengths, self.terms, self.order, inner), rows, shorter, longer
         )
+
+
+def distortion(chosen: NoiseFit, fewer: NoiseFit) -> Array:
+    """Returns the change of the squared coefficients beyond chance, shape (4,). For an efficient estimate, the variance of the change
+    by chance is the difference of the two variances (Hausman, 1978), so that δ² = (change² − this variance) estimates the squared
+    distortion; a negative δ² counts as zero."""
+    change = fewer.squares - chosen.squares
+    by_chance = np.clip(np.diag(fewer.covariance) - np.diag(chosen.covariance), 0.0, None)
+    return np.asarray(np.sign(change) * np.sqrt(np.clip(change**2 - by_chance, 0.0, None)))
 
 
 def _walks(fit: NoiseFit) -> bool:
