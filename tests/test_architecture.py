@@ -157,6 +157,29 @@ def test_folders_within_rooms_form_no_circle() -> None:
     assert circles(edges) == []
 
 
+FACADES = {"planrunner.estimators.interface": "all that the author of an estimator needs, also for plug-ins"}
+"""Modules from which names of other modules are imported, and why."""
+
+
+def defined(path: Path) -> set[str]:
+    """The names that a module defines itself, at any place."""
+    found = {node.id for node in nodes(path) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    return found | {node.name for node in nodes(path) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+
+
+def test_names_are_imported_from_the_module_that_defines_them() -> None:
+    """A module that passes a name on is a detour for everybody who looks for its definition."""
+    passed_on = {
+        f"{module} imports {alias.name} from {node.module}"
+        for module, path in modules().items()
+        for node in nodes(path)
+        if isinstance(node, ast.ImportFrom) and node.module in modules().keys() - FACADES
+        for alias in node.names
+        if f"{node.module}.{alias.name}" not in modules() and alias.name not in defined(modules()[str(node.module)])
+    }
+    assert passed_on == set()
+
+
 def docstrings(path: Path) -> Iterator[str]:
     for node in nodes(path):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):

@@ -9,9 +9,10 @@ from pathlib import Path
 from planrunner.base.findings import Findings
 from planrunner.bench.calibration import LINE, parsed_day
 from planrunner.plan.kinds import Choice, ListOf, MapOf, Number, QuantityOf, Record, RecordOf, Text, key, optional
-from planrunner.plan.model import NAME, PERSON
+from planrunner.plan.model import PERSON
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.run_information import device_of
+from planrunner.plan.segments import NAME
 
 COEFFICIENT = rf"{NAME}\.[^ \x00-\x1f]{{1,60}}"
 _PART = r"[A-Za-z0-9_.-]{1,80}"

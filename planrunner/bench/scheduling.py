@@ -26,12 +26,11 @@ from planrunner.physics.kinematics import Unreachable
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan import model
 from planrunner.plan.expand import StatedSegment
-from planrunner.plan.model import Ramp, Turns
 from planrunner.plan.motion import motion_of
 from planrunner.plan.orientation import Orientation
 from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Cycle, Motion, Rest, Schedule, Segment, Spin, Stability, Watch
-from planrunner.plan.segments import StabilitySpec, State, Tolerated, WatchSpec
+from planrunner.plan.segments import MotionSpec, Ramp, StabilitySpec, State, Tolerated, Turns, WatchSpec
 
 Add = Callable[[str, Mark, str, str], None]
 
@@ -373,7 +372,7 @@ class _Planner:
         whole = item.marks.get("motion") or item.marks.get("rate") or item.mark
 
         def at(key: str) -> Mark:
-            return stated.at(key) if key and isinstance(stated, model.MotionSpec) else whole
+            return stated.at(key) if key and isinstance(stated, MotionSpec) else whole
 
         seen = None if attitude is None else self.input_axes @ attitude
         seconds, self.state = start_motion(motion, hold, seen, before, self.models, at, self.log)

@@ -15,7 +15,7 @@ from planrunner.cli.printing import name_file, print_findings, print_json, write
 from planrunner.cli.progress import reading_progress
 
 if TYPE_CHECKING:
-    from planrunner.estimators.results import DataOrigin
+    from planrunner.instruments.models import DataOrigin
 
 _ONE_RUN = ("bench", "recording", "segments", "also", "next", "write_plan", "write_bench", "simulation", "compare")
 """Options that are allowed for a single run only."""

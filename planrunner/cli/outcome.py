@@ -13,7 +13,7 @@ from planrunner.cli.each_run import Done
 from planrunner.cli.printing import print_findings, print_json, print_line
 
 if TYPE_CHECKING:
-    from planrunner.estimators.analysis import Results
+    from planrunner.estimators.results import Results
     from planrunner.execution.executor import Outcome
     from planrunner.reporting.verdict import Headline
     from planrunner.tasks.run import Analysis

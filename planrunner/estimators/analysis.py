@@ -42,8 +42,6 @@ from planrunner.plan.model import USUAL, EstimateSpec, Limit, MonteCarloSpec
 from planrunner.plan.selection import select
 from planrunner.uncertainty.budget import Measured, combine
 
-__all__ = ["LimitVerdict", "Results", "analyse"]
-
 
 def analyse(
     estimates: Mapping[str, EstimateSpec],

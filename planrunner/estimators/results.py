@@ -24,8 +24,6 @@ from planrunner.estimators.tables import Plot, Role, Table, TableColumn
 from planrunner.instruments.models import DataOrigin
 from planrunner.uncertainty.influences import Budget, BudgetLine
 
-__all__ = ["FORMAT", "NAME", "DataOrigin", "Results", "comparable", "segment_statistics"]
-
 NAME = "results.json"
 """Name of the file that contains the results of an analysis."""
 FORMAT = 3

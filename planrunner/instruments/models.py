@@ -18,9 +18,6 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.physics.kinematics import TableAxis
 
-__all__ = ["ChamberModel", "DataOrigin", "NoiseModel", "OutputModel", "SensorModel", "TableAxis", "TableModel"]
-
-
 DataOrigin = Literal["measured", "simulated", "replayed"]
 """Source of the samples of a run: real instruments; instruments of which at least one is simulated; an earlier recording."""
 

@@ -22,10 +22,11 @@ from planrunner.plan.kinds import (
     key,
     optional,
 )
-from planrunner.plan.model import NAME, PERSON
+from planrunner.plan.model import PERSON
 from planrunner.plan.parameters import NAME as PARAMETER
 from planrunner.plan.parameters import VALUE
 from planrunner.plan.quantity import Quantity, parse_quantity
+from planrunner.plan.segments import NAME
 
 HEADER = "planrunner_suite"
 """Key by which a suite is recognised; no other file has it."""

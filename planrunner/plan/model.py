@@ -32,18 +32,10 @@ from planrunner.plan.kinds import (
 )
 from planrunner.plan.quantity import SYMMETRIC, Quantity, QuantityError, is_symmetric, parse_symmetric
 from planrunner.plan.segments import (
-    MOVE,
     NAME,
-    POSITION,
-    STATE_KEYS,
-    MotionSpec,
-    Ramp,
-    RecordedSpec,
-    RockSpec,
     SegmentKind,
     SegmentSpec,
     State,
-    Turns,
 )
 from planrunner.plan.selection import Detection, SelectionKind
 from planrunner.plan.units import DIMENSIONS, EXAMPLES
@@ -105,32 +97,6 @@ class MonteCarloSpec(Record):
 
 USUAL = MonteCarloSpec(digits=1, draws=1_000_000, seed=1)
 
-
-__all__ = [
-    "ESTIMATE",
-    "FILE_NAME",
-    "MOVE",
-    "NAME",
-    "PERSON",
-    "POSITION",
-    "STATE_KEYS",
-    "EstimateSpec",
-    "Limit",
-    "MotionSpec",
-    "MountedAxis",
-    "Plan",
-    "Ramp",
-    "RecordedSpec",
-    "RockSpec",
-    "RunItem",
-    "RunItemKind",
-    "SegmentKind",
-    "SegmentSpec",
-    "Sensor",
-    "State",
-    "SymmetricKind",
-    "Turns",
-]
 
 PERSON = r"[A-Za-z][A-Za-z0-9_.@-]{0,59}"
 """Name of a person or a key in the key ring of a laboratory."""

@@ -12,10 +12,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from planrunner.base.findings import Findings, Mark, closest
-from planrunner.plan import model
 from planrunner.plan.directions import DIRECTIONS
 from planrunner.plan.schedule import Cycle, Motion, Move, RecordedMotion, Rest, Rock, Spin
-from planrunner.plan.segments import State
+from planrunner.plan.segments import MOVE, MotionSpec, RecordedSpec, RockSpec, State
 
 TURN = 2 * math.pi
 _ANGLE_TOLERANCE = math.radians(1e-6)
@@ -44,9 +43,7 @@ def motion_of(state: State, marks: Mapping[str, Mark], dwell: float | None, log:
         return _stated_motion(motion, marks, dwell, log)
 
 
-def _stated_motion(
-    motion: model.MotionSpec, marks: Mapping[str, Mark], dwell: float | None, log: Findings
-) -> Motion | None:
+def _stated_motion(motion: MotionSpec, marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
     stated = [name for name in _KEYS if getattr(motion, name) is not None]
     if len(stated) != 1:
         what = " and ".join(stated) if stated else "none of them"
@@ -73,7 +70,7 @@ def _stated_motion(
     return _cycle(motion, sign, log)
 
 
-def _moved(motion: model.MotionSpec, recorded: model.RecordedSpec, sign: float, log: Findings) -> RecordedMotion | None:
+def _moved(motion: MotionSpec, recorded: RecordedSpec, sign: float, log: Findings) -> RecordedMotion | None:
     if recorded.origin.broken:
         return None
     shown = [name for name in ("angle", "attitude", "rates") if getattr(recorded, name)]
@@ -102,7 +99,7 @@ def _moved(motion: model.MotionSpec, recorded: model.RecordedSpec, sign: float, 
     return RecordedMotion(recorded.angle or "", about, recorded.attitude, recorded.rates, recorded.forces, seconds)
 
 
-def _rock(motion: model.MotionSpec, rock: model.RockSpec, dwell: float | None, log: Findings) -> Rock | None:
+def _rock(motion: MotionSpec, rock: RockSpec, dwell: float | None, log: Findings) -> Rock | None:
     phases = tuple(phase.value for phase in rock.phases) or (0.0,)
     endless = Rock(
         rock.amplitude.value, rock.frequency.value, phases, math.inf, motion.after.value if motion.after else 0.0
@@ -124,7 +121,7 @@ def _rock(motion: model.MotionSpec, rock: model.RockSpec, dwell: float | None, l
     return replace(endless, duration=duration)
 
 
-def _cycle(motion: model.MotionSpec, sign: float, log: Findings) -> Cycle | None:
+def _cycle(motion: MotionSpec, sign: float, log: Findings) -> Cycle | None:
     positions = {name: angle.value for name, angle in (motion.cycle or {}).items()}
     needed = {"moves": motion.moves, "turn_rate": motion.turn_rate, "stop": motion.stop}
     missing = [name for name, value in needed.items() if not value]
@@ -137,7 +134,7 @@ def _cycle(motion: model.MotionSpec, sign: float, log: Findings) -> Cycle | None
     net = 0.0
     errors = log.raised
     for text in motion.moves:
-        match = re.fullmatch(model.MOVE, text)
+        match = re.fullmatch(MOVE, text)
         assert match is not None
         turn = math.radians(float(match["turn"].replace("−", "-")))
         net += turn
@@ -157,9 +154,7 @@ def _cycle(motion: model.MotionSpec, sign: float, log: Findings) -> Cycle | None
     return Cycle(signed, tuple(moves), motion.turn_rate.value, motion.stop.value)
 
 
-def _check_positions(
-    moves: list[Move], positions: Mapping[str, float], motion: model.MotionSpec, log: Findings
-) -> None:
+def _check_positions(moves: list[Move], positions: Mapping[str, float], motion: MotionSpec, log: Findings) -> None:
     """Adds one finding for each name that is not the name of a position, even if several moves use it."""
     users: dict[str, list[int]] = {}
     for index, move in enumerate(moves):
@@ -191,7 +186,7 @@ def _check_move(
         log.error("meaning-cycle-landing", mark, message, f"to end at {move.end}, turn {_turns(positions, move)}")
 
 
-def _check_cycle(moves: list[Move], net: float, motion: model.MotionSpec, log: Findings) -> None:
+def _check_cycle(moves: list[Move], net: float, motion: MotionSpec, log: Findings) -> None:
     if moves[-1].end != moves[0].start:
         message = f"the cycle starts at {moves[0].start} and ends at {moves[-1].end}, so it cannot be repeated"
         at = motion.at(f"moves[{len(moves) - 1}]")

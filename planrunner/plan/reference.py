@@ -39,7 +39,10 @@ from planrunner.plan.segments import (
     ForEachKind,
     MotionSpec,
     Ramp,
+    RecordedSpec,
     RockSpec,
+    SegmentKind,
+    SegmentSpec,
     StabilitySpec,
     State,
     Turns,
@@ -58,13 +61,13 @@ _SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
     ("A plan", "The top of the file.", model.Plan),
     ("`sensor`", "", model.Sensor),
     ("`mounting`: each axis", "", model.MountedAxis),
-    ("A state", "Keys of `defaults` and of every segment.", model.State),
-    ("A segment", "In addition to the keys of a state.", model.SegmentSpec),
-    ("`motion`", "", model.MotionSpec),
-    ("`motion`: `rock`", "", model.RockSpec),
-    ("`motion`: `recorded`", "", model.RecordedSpec),
-    ("`temperature`: a ramp", "", model.Ramp),
-    ("`dwell`: whole turns or cycles", "", model.Turns),
+    ("A state", "Keys of `defaults` and of every segment.", State),
+    ("A segment", "In addition to the keys of a state.", SegmentSpec),
+    ("`motion`", "", MotionSpec),
+    ("`motion`: `rock`", "", RockSpec),
+    ("`motion`: `recorded`", "", RecordedSpec),
+    ("`temperature`: a ramp", "", Ramp),
+    ("`dwell`: whole turns or cycles", "", Turns),
     ("`settle`, `soak`: until readings have settled", "", StabilitySpec),
     ("`watch`", "", WatchSpec),
     ("An estimate", "", model.EstimateSpec),
@@ -76,11 +79,11 @@ _SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
 
 def keys_reference() -> str:
     """Writes the whole page of the reference, with the keys of every installed estimator."""
-    state = set(keys_of(model.State))
+    state = set(keys_of(State))
     parts = [_HEAD]
     for title, about, record in _SECTIONS:
         fields = keys_of(record)
-        if record is model.SegmentSpec:
+        if record is SegmentSpec:
             fields = {name: item for name, item in fields.items() if name not in state}
         parts.append(section(title, about or first_line(record), fields))
     parts.append(_quantity_section())
@@ -176,7 +179,7 @@ def _quantity_words(dimension: str | None) -> str:
 _OWN: dict[type, str] = {
     OrientationKind: "an orientation",
     selection.SelectionKind: "one label or pattern, a list of labels or patterns, or intervals found in the data",
-    model.SegmentKind: "a segment",
+    SegmentKind: "a segment",
     model.RunItemKind: "`required` or `optional`",
     model.SymmetricKind: "± and a number with its unit",
 }
@@ -186,7 +189,7 @@ _RECORDS: dict[type[Record], str] = {
     State: "a state",
     MotionSpec: "a motion",
     RockSpec: "rocking",
-    model.RecordedSpec: "channels that show a motion",
+    RecordedSpec: "channels that show a motion",
     Ramp: "a ramp",
     Turns: "whole turns or cycles",
     StabilitySpec: "readings that must settle",

@@ -11,7 +11,7 @@ from planrunner.archive.recording import RecordedSegment, Statistics
 from planrunner.base.said import Said
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.limits import LimitVerdict
-from planrunner.estimators.results import DataOrigin
+from planrunner.instruments.models import DataOrigin
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Segment
 from planrunner.reporting.verdict import Headline, headline

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from planrunner.base.documents import Json
-from planrunner.estimators.results import DataOrigin
 from planrunner.estimators.tables import Role, Shown, Table, TableColumn, alike, table_of
+from planrunner.instruments.models import DataOrigin
 from planrunner.reporting.diagnosis_pictures import ranked
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, stamped, table_view

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from planrunner.base.documents import Json
 from planrunner.base.findings import count_of
-from planrunner.estimators.results import DataOrigin
 from planrunner.estimators.tables import Plot, Role, Shown, Table, TableColumn, alike, table_of
+from planrunner.instruments.models import DataOrigin
 from planrunner.reporting.diagnosis_page import probability
 from planrunner.reporting.rounding import format_pair
 from planrunner.reporting.templates import render

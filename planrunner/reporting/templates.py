@@ -15,10 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from planrunner.base.documents import Json
-from planrunner.reporting.sandbox import MAX_OUTPUT, ReportError, available, lay_out
+from planrunner.reporting.sandbox import MAX_OUTPUT, ReportError, lay_out
 from planrunner.reporting.template_data import to_json
-
-__all__ = ["ReportError", "available", "render"]
 
 MAX_SECONDS = 30.0
 """Maximum computing time of a user's template, s."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from planrunner.base.findings import count_of
 from planrunner.estimators.limits import LimitVerdict, VerdictKind, verdict_kind
-from planrunner.estimators.results import DataOrigin
+from planrunner.instruments.models import DataOrigin
 
 
 @dataclass(frozen=True, slots=True)

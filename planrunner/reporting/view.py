@@ -40,8 +40,8 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import count_of
 from planrunner.estimators.interface import Coefficient, Estimate
 from planrunner.estimators.limits import LimitVerdict
-from planrunner.estimators.results import DataOrigin
 from planrunner.estimators.tables import Cell, Role, Table
+from planrunner.instruments.models import DataOrigin
 from planrunner.reporting import words
 from planrunner.reporting.budgets import budget_views, freedom, shown_unit
 from planrunner.reporting.certificate import certificate_view, guard_band

@@ -18,8 +18,8 @@ from planrunner.archive.storage import Storage, digest
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.bench.model import Bench
-from planrunner.estimators.analysis import Results
 from planrunner.estimators.limits import VerdictKind, verdict_kind
+from planrunner.estimators.results import Results
 from planrunner.signing.bench_key import BenchKeyError, bench_signer, reason
 from planrunner.signing.keys import PublicKey, Signer, parse_public
 from planrunner.signing.run_signatures import (

@@ -22,6 +22,7 @@ from planrunner.plan import model, source
 from planrunner.plan.expand import expand
 from planrunner.plan.rewriting import RewriteError, with_moves
 from planrunner.plan.schedule import Cycle, Segment
+from planrunner.plan.segments import MotionSpec
 from planrunner.tasks.check import Checked
 
 ORDERS = {"same": "same order", "free": "free order"}
@@ -108,10 +109,10 @@ def _sense(plan: model.Plan, label: str) -> float:
     return -1.0 if _motion(plan, label).sense == "clockwise" else 1.0
 
 
-def _motion(plan: model.Plan, label: str) -> model.MotionSpec:
+def _motion(plan: model.Plan, label: str) -> MotionSpec:
     """Returns the motion of a segment with a cycle, as the plan states it."""
     motion = next(item.state.motion for item in expand(plan, Findings()) if item.label == label)
-    assert isinstance(motion, model.MotionSpec)
+    assert isinstance(motion, MotionSpec)
     return motion
 
 

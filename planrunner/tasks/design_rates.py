@@ -23,9 +23,9 @@ from planrunner.estimators.interface import DesignBlock, DesignRequest, Estimati
 from planrunner.physics.kinematics import TableAxis, Unreachable, joint_angles, spin_axis, spin_up_time
 from planrunner.plan import source
 from planrunner.plan.expand import expand
-from planrunner.plan.model import Turns
 from planrunner.plan.rewriting import RewriteError, with_rates
 from planrunner.plan.schedule import Segment, Spin
+from planrunner.plan.segments import Turns
 from planrunner.plan.selection import Detection, select
 from planrunner.tasks.check import Checked, Document, check_plan
 

@@ -16,7 +16,7 @@ from planrunner.signing.run_signatures import SignatureStanding, bench_signing, 
 from planrunner.tasks.approvals import approved_by
 
 if TYPE_CHECKING:
-    from planrunner.estimators.analysis import Results
+    from planrunner.estimators.results import Results
     from planrunner.tasks.check import Sound
 
 FILES = ("plan.yaml", "bench.yaml")

@@ -31,8 +31,8 @@ from planrunner.bench.attendance import check_unattended
 from planrunner.bench.model import Bench, locate, runs_on_virtual_clock
 from planrunner.bench.opening import NotSafeError, OpenBench, guarded_bench
 from planrunner.bench.replacing import REACHED_BY, addresses, other_than_reached
-from planrunner.estimators.analysis import Results, analyse
-from planrunner.estimators.results import NAME, comparable
+from planrunner.estimators.analysis import analyse
+from planrunner.estimators.results import NAME, Results, comparable
 from planrunner.execution.executor import Outcome, execute
 from planrunner.execution.operator import Operator
 from planrunner.execution.progress import ProgressCallback

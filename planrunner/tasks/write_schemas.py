@@ -20,7 +20,8 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 def plan_schema() -> Schema:
     """Returns the schema of plan files, with the parameters of every installed estimator."""
-    from planrunner.plan.model import Plan, SegmentSpec
+    from planrunner.plan.model import Plan
+    from planrunner.plan.segments import SegmentSpec
 
     segment = {
         "description": "A state to reach and hold, a sweep, or steps that share a state.",
@@ -63,8 +64,8 @@ def _document(title: str, schema: Schema, definitions: dict[str, Schema]) -> Sch
 
 
 def _shared() -> dict[str, Schema]:
-    from planrunner.plan.model import MotionSpec
     from planrunner.plan.orientation import OrientationKind
+    from planrunner.plan.segments import MotionSpec
 
     parts: dict[str, Schema] = {"orientation": OrientationKind().schema(), "motion": object_schema(keys_of(MotionSpec))}
     for dimension in (None, *DIMENSIONS):

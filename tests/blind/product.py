@@ -25,9 +25,10 @@ from planrunner.gap.fleet.attribution import Contribution, Estimates, Source, at
 from planrunner.gap.hypotheses.declarations import corrected
 from planrunner.gap.hypotheses.forms import shape_alone, whole_forms
 from planrunner.instruments.interfaces import Block
-from planrunner.instruments.models import ChamberModel, NoiseModel, OutputModel, SensorModel, TableAxis, TableModel
+from planrunner.instruments.models import ChamberModel, NoiseModel, OutputModel, SensorModel, TableModel
 from planrunner.observation.samples import observed
 from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import TableAxis
 from planrunner.plan.expand import expand
 from planrunner.plan.model import parse_plan
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin

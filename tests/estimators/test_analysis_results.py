@@ -15,7 +15,7 @@ from test_flexure_gyro_static import CHANNELS, OPTIMAL, SITE, attitude, pulses
 
 from planrunner.base.findings import InputError
 from planrunner.cli.outcome import code_of
-from planrunner.estimators.analysis import Results, analyse, combined
+from planrunner.estimators.analysis import analyse, combined
 from planrunner.estimators.flexure_gyro.compensation_residual import CompensationResidualParameters
 from planrunner.estimators.flexure_gyro.flexure_gyro_static import FlexureGyroStatic, FlexureGyroStaticParameters
 from planrunner.estimators.foresight import design_of
@@ -28,7 +28,7 @@ from planrunner.estimators.interface import (
     UnfitDataError,
 )
 from planrunner.estimators.limits import hold
-from planrunner.estimators.results import comparable
+from planrunner.estimators.results import Results, comparable
 from planrunner.estimators.tables import Role
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import EstimateSpec, Limit

@@ -28,8 +28,9 @@ from planrunner.estimators.method import designed
 from planrunner.estimators.modulation.fit import TooLittleError, free_rates, periodic_part
 from planrunner.estimators.modulation.modulation_residual import ModulationResidual, ModulationResidualParameters
 from planrunner.estimators.modulation.prediction import errors_over_time, periodic_amplitudes
-from planrunner.instruments.models import TableAxis, TableModel
+from planrunner.instruments.models import TableModel
 from planrunner.physics.earth import Site
+from planrunner.physics.kinematics import TableAxis
 from planrunner.physics.modulation import schuler_drive
 from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.quantity import parse_quantity

@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from planrunner.instruments.interfaces import Block, Condition, InstrumentError, OwnLimits, Surroundings
-from planrunner.instruments.models import ChamberModel, OutputModel, SensorModel, TableAxis, TableModel
+from planrunner.instruments.models import ChamberModel, OutputModel, SensorModel, TableModel
+from planrunner.physics.kinematics import TableAxis
 from planrunner.plan.kinds import Record, Text, key
 from planrunner.plan.schedule import Motion, Segment, Spin
 

@@ -26,7 +26,8 @@ from planrunner.estimators.flexure_gyro.flexure_gyro_static import descriptions
 from planrunner.reporting import language as catalogues
 from planrunner.reporting.certificate_names import of_estimator, of_reference, of_room
 from planrunner.reporting.language import filled, languages, spoken, translations
-from planrunner.reporting.templates import ReportError, available, render
+from planrunner.reporting.sandbox import ReportError, available
+from planrunner.reporting.templates import render
 from planrunner.reporting.view import render_report
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -10,9 +10,9 @@ import pytest
 from reporting_example import context
 
 from planrunner.reporting import sandbox, templates
-from planrunner.reporting.sandbox import lay_out
+from planrunner.reporting.sandbox import ReportError, available, lay_out
 from planrunner.reporting.template_data import Told, from_json, to_json
-from planrunner.reporting.templates import ReportError, available, render
+from planrunner.reporting.templates import render
 from planrunner.reporting.view import Picture, report_view
 
 ESCAPES = (

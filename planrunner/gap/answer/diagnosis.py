@@ -48,7 +48,7 @@ from planrunner.gap.answer.remainder import Remainder, dispersions, remainder
 from planrunner.gap.answer.sets import EffectSet, Member, key_of, together
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.answer.where import MisfitPlace, UnknownForm, places, unknown_form
-from planrunner.gap.hypotheses.candidates import ABSORBED, FULL, Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.candidates import FULL, Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of, shape_alone, whole_forms
 from planrunner.observation.refusals import ObservationError
 
@@ -408,6 +408,3 @@ def _finite(value: Json) -> Json:
     if isinstance(value, float | np.floating):
         return float(value) if np.isfinite(value) else None
     return value
-
-
-__all__ = ["ABSORBED", "Diagnosis", "DiagnosisOptions", "diagnose"]
