@@ -1,8 +1,9 @@
 """Connects the instruments and the clock of a bench, and makes the bench safe.
 
-Only the instruments that this process has taken control of are made safe. An instrument to which it has only connected is left as
-it is, because an instrument that someone else started must not be stopped. When the bench is made safe, each instrument is tried in
-the bench's order, even if others fail. Connecting stops at the first instrument that fails and releases those already connected.
+Only the instruments that this process has taken control of are made safe. An instrument to which planrunner has only connected is
+not changed, because planrunner must not stop an instrument that someone else started. When the bench is made safe, each instrument
+is tried in the bench's order, even if others fail. Connecting stops at the first instrument that fails and releases those already
+connected.
 
 For a run, the bench is locked against other runs, then guarded by a watchdog, then connected, and at the end made safe. A bench
 without real instruments needs neither a lock nor a watchdog.

@@ -1,5 +1,5 @@
-"""`planrunner diagnose`: shows where recording and simulation differ, which effects explain the difference and to what extent, and
-what to measure next."""
+"""`planrunner diagnose`: shows the places at which recording and simulation differ, the effects that explain the difference, and
+proposals for the next measurement."""
 
 from __future__ import annotations
 

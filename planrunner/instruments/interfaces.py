@@ -87,8 +87,8 @@ class Closes(Protocol):
 
 @dataclass(slots=True)
 class Surroundings:
-    """Contains what a driver needs to connect: the clock, the site, the folder that must contain all data files, the seed of the
-    run, and the other instruments by role.
+    """Contains the data that a driver needs to connect: the clock, the site, the folder that must contain all data files, the seed
+    of the run, and the other instruments by role.
 
     `world`: state that the drivers of a virtual bench share; real drivers ignore it. `real_time`: True if the clock shows real
     time; simulated and played-back samples then come in blocks of about a second. `notice`: function that receives the progress of

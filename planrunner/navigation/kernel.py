@@ -78,8 +78,8 @@ def _turned(q, v):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _earth_at(latitude, height, north, rate, factor):  # type: ignore[no-untyped-def]
-    """Returns properties of the Earth at the point that is `north` metres north of a latitude: 1/(radius + height) in the meridian
-    and in the prime vertical, secant and tangent of the latitude, gravity, and the north and up components of the Earth's rate."""
+    """Returns properties of the Earth at a point `north` metres north of a latitude: 1/(radius + height) in the meridian and in the
+    prime vertical, secant and tangent of the latitude, gravity, and the north and up components of the Earth's rate."""
     sine, cosine = math.sin(latitude), math.cos(latitude)
     w = 1.0 - ECCENTRICITY_SQUARED * sine * sine
     w *= math.sqrt(w)

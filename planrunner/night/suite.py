@@ -1,4 +1,4 @@
-"""Describes a suite as data: which plans run in a night, on which devices and benches, when, and what happens after a failure.
+"""Describes a suite as data: the plans that run in a night, their devices, benches and times, and the consequences of a failure.
 
 As for plans and benches, the code that reads suites, the JSON Schema in `schemas/` and the key reference in `docs/` are all derived
 from these records.

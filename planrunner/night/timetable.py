@@ -5,8 +5,8 @@ clock: the caller states the time, and the tests that have ended. `planrunner ch
 (`foresee`). `planrunner night` updates the state with real events. Both commands therefore follow the same rules. Times are
 instants, seconds since 1970 UTC.
 
-The next test on a bench is the first one, in the order of the suite, that meets three conditions: the tests for which it waits have
-ended, its device is free, and it can end in time with its planned duration.
+The next test on a bench is the first test, in the order of the suite, that satisfies three conditions: the tests for which it waits
+have ended, its device is free, and it can end in time with its planned duration.
 """
 
 from __future__ import annotations

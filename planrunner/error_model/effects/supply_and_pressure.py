@@ -107,7 +107,7 @@ class _Bias(_OfSurroundings):
 
 
 class _ScaleFactor(_OfSurroundings):
-    """Multiplies the scale factor of each axis by 1 + k·e, where e is the excess of the supply voltage or of the pressure over its
+    """Multiplies the scale factor of each axis by 1 + k·e. Here, e is the excess of the supply voltage or of the pressure over its
     nominal value."""
 
     @property

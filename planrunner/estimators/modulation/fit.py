@@ -1,8 +1,8 @@
 """Separates two parts of a navigation's velocity error: the part that repeats with the rotation cycle, and the Schuler and 24-hour
 oscillations.
 
-The horizontal velocity is written as a complex number, east + i·north. Over a whole number of cycles, the velocity is fitted by
-least squares with three parts: a straight line, the free oscillations at ±ω_s − Ω·sin φ and ±Ω, and the harmonics of the cycle at
+The horizontal velocity is written as a complex number, east + i·north. A least-squares fit over a whole number of cycles describes
+the velocity by three parts: a straight line, the free oscillations at ±ω_s − Ω·sin φ and ±Ω, and the harmonics of the cycle at
 positive and negative rates.
 """
 

@@ -27,10 +27,10 @@ _AXES = 3
 class WanderingBias:
     """Describes the response of a navigation to sensor errors that are constant in each interval of `step` [s].
 
-    `aligned`: array of shape (3, 6, m) in rad, tilt after the alignment for an error of 1 rad/s or 1 m/s² of each of the 6 sensors
-    in each of the m intervals of the alignment. `attitude`: array of shape (n, 3, 3), mean attitude over each interval of the
-    navigation, with the body axes as columns in East-North-Up. `between`: number of intervals from the start of the alignment to
-    the start of the navigation. `span`: the time over which constant errors are averages, s.
+    `aligned`: array of shape (3, 6, m) in rad, tilt after the alignment. Each entry is the tilt for an error of 1 rad/s or 1 m/s²
+    of one of the 6 sensors in one of the m intervals of the alignment. `attitude`: array of shape (n, 3, 3), mean attitude over
+    each interval of the navigation, with the body axes as columns in East-North-Up. `between`: number of intervals from the start
+    of the alignment to the start of the navigation. `span`: the time over which constant errors are averages, s.
     """
 
     equations: ErrorEquations

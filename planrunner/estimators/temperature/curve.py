@@ -468,7 +468,7 @@ def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequ
 
     Let y be the weighted values, A the columns of the curve, and Z the columns of one difference. The projector M removes A, the
     mean of Z in each direction, and the columns of the other differences. The reduction of the sum of squares by Z has k degrees of
-    freedom and the expectation k·φ + τ²·tr(ZᵀMZ), where φ is the variance of the noise and τ is the standard deviation of the
+    freedom and the expectation k·φ + τ²·tr(ZᵀMZ). Here, φ is the variance of the noise, and τ is the standard deviation of the
     difference. The weighted values then have the covariance V = φ·I + Σ τ²·Z·Zᵀ.
     """
     from scipy.special import fdtrc

@@ -68,9 +68,10 @@ def _response(x: Array, f: Array, slope: Array) -> Array:
 
 
 def _asymmetry(x: Array, f: Array) -> Array:
-    """Returns the asymmetry of each series and axis. The asymmetry is NaN in two cases: if all inputs of an axis have the same sign
-    (for example, because the Earth's rotation is larger than the rates), and if there are too few inputs to separate the
-    half-lines. The asymmetry is computed from normal equations, after the columns have been divided by the largest rate."""
+    """Returns the asymmetry of each series and axis. The asymmetry is NaN in two cases: if there are too few inputs to separate the
+    half-lines, and if all inputs of an axis have the same sign. The second case occurs, for example, if the Earth's rotation is
+    larger than the rates. The asymmetry is computed from normal equations, after the columns have been divided by the largest
+    rate."""
     told = np.full((x.shape[0], x.shape[2]), np.nan, dtype=f.dtype)
     if np.unique(x[0, :, 0]).size < ENOUGH:
         return told

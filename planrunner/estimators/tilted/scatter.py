@@ -174,9 +174,9 @@ def _about_the_line(
     1, n + 1), contains the covariances that flicker causes between the averages of `Group.averages`.
 
     Without declared flicker, the variance is s² = Σν²/(n − 2) for the residuals ν. With flicker, the covariance of the rates is
-    proportional to V = σ²·1 + C, where σ² is the mean square of `noise` (n, m), and C the covariance of the flicker. The residuals
-    give a common factor for both parts. This factor is the minimum over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), where the columns of X
-    are 1 and the rates. For C = 0, the two formulas agree.
+    proportional to V = σ²·1 + C. Here, σ² is the mean square of `noise` (n, m), and C is the covariance of the flicker. The
+    residuals give a common factor for both parts. This factor is the minimum over β of (ν − Xβ)ᵀV⁻¹(ν − Xβ)/(n − 2), where the
+    columns of X are 1 and the rates. For C = 0, the two formulas agree.
     """
     n, m = residuals.shape
     weights = group.averages

@@ -3,9 +3,9 @@ space except for its drift.
 
 In axes of the element, the drift angle has four parts: a constant rate, a rate that rocking causes, a random walk, and a transient
 after caging. The transient occurs during the first minute, when the element leaves the dead region of the levelling loops. Rocking
-causes drift by rectification: the servos transmit a fraction of the base's motion about every axis, and two such motions with a
-phase difference cause a steady rate that is proportional to the square of the motion (coning; Savage, Strapdown Analytics, 2000,
-10.1). In the model, this rate is proportional to the square of the base's angular rate.
+causes drift by rectification. The servos transmit a fraction of the base's motion about every axis. Two such motions with a phase
+difference cause a steady rate, which is proportional to the square of the motion (coning; Savage, Strapdown Analytics, 2000, 10.1).
+In the model, this rate is proportional to the square of the base's angular rate.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Computes the times of samples from the counter of a sensor, and from the times at which the computer read its frames.
 
 A frame cannot be read early, but buffers and the operating system can delay the reading. Let the times of reading be plotted over
-the counter. The line that relates the counter to the computer's clock is then the highest line below all points; it is an edge of
-their lower convex hull (Moon, Skelly and Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM
-1999; Zhang, Liu and Xia, Clock synchronization algorithms for network measurements, INFOCOM 2002). A constant delay cannot be found
-in this way. Therefore the transmission time, and the latency that the sensor reports, are subtracted first."""
+the counter. A line relates the counter to the computer's clock. It is the highest line below all points, which is an edge of their
+lower convex hull (Moon, Skelly and Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999;
+Zhang, Liu and Xia, Clock synchronization algorithms for network measurements, INFOCOM 2002). A constant delay cannot be found in
+this way. Therefore the transmission time, and the latency that the sensor reports, are subtracted first."""
 
 from __future__ import annotations
 

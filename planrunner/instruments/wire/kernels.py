@@ -232,10 +232,10 @@ def _holds(data, place, length, check, kind, width, tables, initial, reflected, 
 
 @compiled()
 def find(data, sync, trailer, shape, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """Finds frames. Returns their starts and lengths (good frames only), the start of the bytes that remain, the place in these
-    bytes at which the next frame is expected (-1: unknown), the number of corrupt frames, and the number of skipped bytes.
-    `positions`, `base`: table and constant for a CRC over frames of equal length (`Checksum.by_position`); otherwise an array of
-    the shape (0, 256), and 0."""
+    """Finds frames. Returns the starts and lengths of the good frames, the start of the remaining bytes, the place in these bytes
+    at which the next frame is expected (-1: unknown), the number of corrupt frames, and the number of skipped bytes. `positions`,
+    `base`: table and constant for a CRC over frames of equal length (`Checksum.by_position`); otherwise an array of the shape (0,
+    256), and 0."""
     rule, longest, expected = shape
     covered_from, _, size, little = check
     covered = positions.shape[0]

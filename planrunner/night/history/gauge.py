@@ -8,9 +8,10 @@ the expectation
 
 with r repetitions and a_f levels of factor f. The variance components follow from these expectations. A negative component is
 replaced by zero, also in sums of components. Reproducibility is the variance that is attributed neither to the device nor to
-repeatability. Confidence intervals come from the modified large-sample method: Graybill and Wang (Journal of the American
-Statistical Association 75, 1980) for sums of mean squares, and Ting et al. (Journal of Statistical Computation and Simulation 35,
-1990) for differences, as Burdick, Borror and Montgomery (Design and Analysis of Gauge R&R Studies, 2005) apply them.
+repeatability. Confidence intervals come from the modified large-sample method. The formulas come from Graybill and Wang (Journal of
+the American Statistical Association 75, 1980) for sums of mean squares, and from Ting et al. (Journal of Statistical Computation
+and Simulation 35, 1990) for differences. They are applied as in Burdick, Borror and Montgomery (Design and Analysis of Gauge R&R
+Studies, 2005).
 """
 
 from __future__ import annotations

@@ -50,8 +50,8 @@ class RunRow:
     """A run in the index.
 
     `folder`: path relative to the archive, with slashes. `device`: serial number of the device; empty if it is not stated.
-    `analysis`: number of the newest analysis, from which the verdict and the coefficients come; 0 if there is none. `warnings`:
-    number of warnings of the run and of its estimates.
+    `analysis`: number of the newest analysis; 0 if there is no analysis. The verdict and the coefficients come from this analysis.
+    `warnings`: number of warnings of the run and of its estimates.
     """
 
     folder: str
