@@ -31,10 +31,10 @@ from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Effect
-from planrunner.gap.answer.operating_point import OperatingPoint, on_output, operating_point
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
 from planrunner.gap.evidence.weighing import DEPENDENT, ChannelWeights
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.operating_point import OperatingPoint, on_output, operating_point
 
 FOLDS = 4
 FEWEST = 6  # segments; three quarters of fewer carry too little information

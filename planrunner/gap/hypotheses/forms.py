@@ -21,6 +21,7 @@ from planrunner.error_model.effects.interface import Curved, CurvedAndShaped, Ef
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import RANGE, log_mean_exp
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.operating_point import on_output, settled
 
 _REFINE = 8.0  # log BF at and above which a shape is refined
 _BENT = 30.0  # log BF at and above which an effect may distort the fit of the nominal parameters
@@ -60,7 +61,7 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
         usable, log_bayes = _refined(weighing, effect, usable, weighing.observed)
         if float(log_bayes.max()) > _BENT and is_whole(usable[0].variant.columns):
             before = usable
-            usable, log_bayes = _settled(weighing, effect, usable, log_bayes)
+            usable, log_bayes = _resettled(weighing, effect, usable, log_bayes)
             usable, log_bayes = _held(weighing, effect, usable, log_bayes)
             settled = usable is not before
     if isinstance(effect, CurvedAndShaped) and float(log_bayes.max()) > _BENT:
@@ -104,14 +105,14 @@ def _along_secants(
     return usable, log_bayes
 
 
-def _settled(
+def _resettled(
     weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
     """Evaluates a strong effect on the output of the sensor again: the nominal parameters are fitted together with the effect's
     best form, and the effect is evaluated at the output that results. The evaluation is repeated as long as it explains more."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
-        seen = weighing.seen([raw[:, 0] for raw in best.raw])
+        seen = _seen(weighing, effect, best)
         forms = [effect.at(seen, float(value)) for value in effect.grid(seen)]
         coarse = [item for item in weighing.weigh(forms) if item.can_be_seen]
         if len(coarse) < 3:
@@ -121,6 +122,16 @@ def _settled(
             break
         usable, log_bayes = again, value
     return usable, log_bayes
+
+
+def _seen(weighing: Weighing, effect: Shaped, best: Weighed) -> Observed:
+    """Returns the recording with the nominal output that results if the nominal parameters are fitted together with an effect of
+    amplitude 1. `best`: the form of the effect."""
+    taken = [raw[:, 0] for raw in best.raw]
+    acting = on_output(effect)
+    return (
+        weighing.seen(taken) if acting is None else settled(weighing, acting, float(best.variant.shape or 0.0), taken)
+    )
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
@@ -199,7 +210,7 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
             _, seen, shape, sigma = likeliest
             break
         found, before = shape, found
-        seen = weighing.seen([raw[:, 0] for raw in best.raw])
+        seen = _seen(weighing, effect, best)
     else:
         _, seen, shape, sigma = likeliest
     near = shape * np.exp(sigma * np.linspace(-_SPAN, _SPAN, _FORMS))

@@ -15,8 +15,12 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import ChangesWithinSegments, Effect, Shaped
+from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import Weighing
+
+_STEPS = 6  # of Gauss–Newton
+_STILL = 0.1  # standard deviations of the noise by which the effect may still change
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,34 @@ def operating_point(
                 difference = (more[channel] - less[channel]).sum(axis=1)
                 change[channel][:, j] = difference * (amplitude / (2 * step[j]))
     return OperatingPoint(tuple(values), tuple(weighing.whole), tuple(change))
+
+
+def settled(weighing: Weighing, effect: Shaped, shape: float, taken: Sequence[Array]) -> Observed:
+    """Fits the nominal parameters together with an effect on the output, and returns the recording with the fitted output
+    (`Weighing.seen`).
+
+    `taken`: for each channel, the coefficients (M,) that the effect causes at the nominal parameters of the preceding fit. A fit to
+    the data minus `taken` converges slowly: where the output is limited, it keeps the scale factor of the preceding fit. Therefore
+    the change of the effect with the parameters is taken into account (Gauss–Newton).
+    """
+    for _ in range(_STEPS):
+        point = operating_point(weighing, effect, shape, taken)
+        seen = weighing.seen(taken)
+        effects = [raw.sum(axis=1) for raw in coefficients_of(seen, weighing.spectrum, effect.at(seen, shape).columns)]
+        before, taken = taken, []
+        for channel, own in enumerate(effects):
+            change, values = point.change[channel], point.values[channel]
+            design = np.hstack([point.nominal[channel] + change, weighing.angles[channel]])
+            size = np.linalg.norm(design, axis=0) + 1e-300
+            left = weighing.spectrum.values[:, channel] - own + change @ values
+            fitted = np.linalg.lstsq(design / size, left, rcond=None)[0] / size
+            taken.append(own + change @ (fitted[: len(values)] - values))
+        away = [
+            (new - old) / weighing.white[channel] for channel, (new, old) in enumerate(zip(taken, before, strict=True))
+        ]
+        if max(float(part @ part) for part in away) < _STILL**2:
+            break
+    return weighing.seen(taken)
 
 
 def _moved(values: Sequence[Array], steps: Sequence[Array], j: int, sign: float) -> list[Array]:
