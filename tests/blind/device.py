@@ -213,8 +213,8 @@ def limit(rate: Array, depth: float) -> float:
     return float(np.abs(rate).max()) - depth
 
 
-def clean_output(schedule: Schedule, sensor: Sensor, device: Device, faults: Faults) -> Array:
-    """Outputs without noise or quantisation, shape (n, 3 or 6)."""
+def clean_output(schedule: Schedule, sensor: Sensor, device: Device, faults: Faults, limited: bool = True) -> Array:
+    """Outputs without noise or quantisation, shape (n, 3 or 6). limited: whether a limit cuts them."""
     delay = float(faults["time_latency"].theta[0]) if "time_latency" in faults else 0.0
     felt = stimulus(schedule, faults, delay)
     rate = _gyro(felt, device, faults, schedule.index)
@@ -248,13 +248,8 @@ def clean_output(schedule: Schedule, sensor: Sensor, device: Device, faults: Fau
         rate = rate - span * np.round(rate / span)
     if "gyro_dead_zone" in faults:
         rate = lock_in(rate, float(faults["gyro_dead_zone"].theta[0]))
-    if "gyro_saturation" in faults:
-        stop = limit(rate, float(faults["gyro_saturation"].theta[0]))
-        rate = np.clip(rate, -stop, stop)
-    if "gyro_saturation_asymmetric" in faults:
-        (side,), (depth,) = faults["gyro_saturation_asymmetric"].shape, faults["gyro_saturation_asymmetric"].theta
-        stop = (side * rate).max() - depth
-        rate = np.where(side * rate > stop, side * stop, rate)
+    if limited:
+        rate = clipped(faults, rate, rate)
     if "gyro_soft_saturation" in faults:
         swing = 2 * float(faults["gyro_soft_saturation"].theta[0]) * rate
         rate = np.where(
@@ -294,24 +289,26 @@ def accel_noise_factor(faults: Faults) -> float:
     return 1.0 if fault is None else 1.0 + float(fault.theta[0])
 
 
-def recorded(sensor: Sensor, clean: Array, faults: Faults, noise: Array) -> Array:
-    """Outputs as recorded: noise added, clipped where the device clips, rounded to the resolution."""
-    values = clipped(faults, clean, clean + noise)
+def recorded(sensor: Sensor, free: Array, faults: Faults, noise: Array) -> Array:
+    """Outputs as recorded: noise added, clipped where the device clips, rounded to the resolution. free: outputs that no limit cuts."""
+    values = clipped(faults, free, free + noise)
     steps = np.array(sensor.counts) if sensor.counts else np.repeat([t.resolution for t in sensor.triads], 3)
     for channel, step in steps_of(faults).items():
         steps[channel] = step
     return np.round(values / steps) * steps
 
 
-def clipped(faults: Faults, clean: Array, values: Array) -> Array:
-    """Outputs with noise, cut at the limit of a device that saturates."""
+def clipped(faults: Faults, free: Array, values: Array) -> Array:
+    """Outputs with or without noise, cut at the limit of a device that saturates. free: outputs without noise that no limit cuts; their
+    largest rate determines the limit."""
     values = values.copy()
     if "gyro_saturation" in faults:
-        stop = float(np.abs(clean[:, :3]).max())
+        stop = limit(free[:, :3], float(faults["gyro_saturation"].theta[0]))
         values[:, :3] = np.clip(values[:, :3], -stop, stop)
     if "gyro_saturation_asymmetric" in faults:
-        (side,) = faults["gyro_saturation_asymmetric"].shape
-        values[:, :3] = side * np.minimum(side * values[:, :3], (side * clean[:, :3]).max())
+        (side,), (depth,) = faults["gyro_saturation_asymmetric"].shape, faults["gyro_saturation_asymmetric"].theta
+        stop = float((side * free[:, :3]).max()) - float(depth)
+        values[:, :3] = side * np.minimum(side * values[:, :3], stop)
     return values
 
 

@@ -347,7 +347,7 @@ def mean_change(
     if not acting:
         return changed
     by_name = {fault.effect: fault for fault in faults}
-    clean = clean_output(schedule, sensor, device, by_name)
+    clean, free = (clean_output(schedule, sensor, device, by_name, limited) for limited in (True, False))
     draws = real.noise if sensor.real else noise
     scaled = np.repeat(np.asarray(factors, float), 3)
     scaled[:3] *= noise_factor(by_name)
@@ -355,7 +355,7 @@ def mean_change(
     levels = drawn[((np.arange(QUANTILES) + 0.5) / QUANTILES * len(drawn)).astype(int)]
     found = np.zeros_like(clean)
     for level in levels:
-        found += coarse(by_name, clipped(by_name, clean, clean + level)) - clean - level
+        found += coarse(by_name, clipped(by_name, free, free + level)) - clean - level
     return changed + found / QUANTILES
 
 
@@ -374,7 +374,7 @@ def simulate(
         added = _filtered(added, colour)
     if spiked:
         added = outliers(added, sensor.sigma() * scaled, rng)
-    values = recorded(sensor, clean_output(schedule, sensor, work.device, by_name), by_name, added)
+    values = recorded(sensor, clean_output(schedule, sensor, work.device, by_name, limited=False), by_name, added)
     values = stuck(schedule.time, values, by_name)
     return named(schedule, sensor, values, rng)
 

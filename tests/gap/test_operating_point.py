@@ -11,9 +11,9 @@ from scipy.stats import binom
 from planrunner.error_model.effects.gyro_output import GyroDeadZone, GyroSaturation
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import closure, measured_noise, predictions, whole_choices
-from planrunner.gap.hypotheses.operating_point import operating_point
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import whole_forms
+from planrunner.gap.hypotheses.operating_point import operating_point
 from tests.gap.test_closure import holds
 from tests.gap.turntable import DEG, record
 
