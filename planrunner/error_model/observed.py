@@ -182,6 +182,8 @@ class Observed:
     `past`: for samples that are one block of a simulation, the temperatures before the first sample, by the value of an effect's shape.
     `reach`: largest distance of a sensor from the axis of a table, m.
     `encoder`: True if the angle of a turning table is known, from an encoder or from a simulation.
+    `scatter`: array of shape (K, Q), quantiles of the noise of a sample, SI, for effects that act on an output together with its noise;
+        None if such effects are to neglect the noise.
     """
 
     site: Site
@@ -211,6 +213,7 @@ class Observed:
     past: Mapping[float, tuple[TemperatureCourse, ...]] = field(default_factory=dict)
     reach: float = 1.0
     encoder: bool = True
+    scatter: Array | None = None
 
     def __len__(self) -> int:
         return len(self.labels)

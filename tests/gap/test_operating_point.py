@@ -13,7 +13,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import closure, measured_noise, predictions, whole_choices
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import whole_forms
-from planrunner.gap.hypotheses.operating_point import operating_point
+from planrunner.gap.hypotheses.operating_point import operating_point, settled
 from tests.gap.test_closure import holds
 from tests.gap.turntable import DEG, record
 
@@ -73,3 +73,51 @@ def test_the_interval_includes_the_uncertainty_of_bias_and_scale_factor() -> Non
             held[told] += holds(found, gap, difference)
     assert held[True] >= binom.ppf(0.01, tries, 0.9)
     assert held[False] < binom.ppf(0.01, tries, 0.9)
+
+
+def _limited(seed: int, limit: float, sampling: float = SAMPLING) -> tuple[Observed, Array]:
+    """A recording whose gyros are limited together with their noise, and the outputs (N, K) without noise and limit."""
+    exact = record(seed=seed, sampling=sampling, clean=True)
+    draw = np.random.default_rng([seed, 2])
+    sigma = np.array([channel.white for channel in exact.channels]) * np.sqrt(sampling)
+    values = exact.values + sigma * draw.standard_normal(exact.values.shape)
+    values[:, :3] = np.clip(values[:, :3], -limit, limit)
+    return replace(
+        exact, values=values, channels=tuple(replace(one, resolution=0.0) for one in exact.channels)
+    ), exact.values
+
+
+def test_nominal_parameters_are_fitted_together_with_a_limit() -> None:
+    """The limit cuts the fastest of three rates. A fit of the parameters alone, with the effect of the preceding fit subtracted, keeps the
+    scale factor that the cut readings gave."""
+    recorded, true = _limited(5, 85 * DEG)
+    weighing, effect = Weighing(recorded), GyroSaturation()
+    first = weighing.observed
+    taken = [raw[:, 0] for raw in weighing.weigh([effect.at(first, 85.0)])[0].raw]
+    gyros, slow = first.of_kind("gyro"), np.abs(first.rate) < 50 * DEG
+    size = np.array([first.channels[index].white for index in gyros]) / np.sqrt(first.counts[0] / SAMPLING)
+
+    def away(seen: Observed) -> float:
+        assert seen.fitted is not None
+        return float((np.abs(seen.fitted - true)[slow][:, gyros] / size).max())
+
+    assert away(weighing.seen(taken)) > 30
+    assert away(settled(weighing, effect, 85.0, taken)) < 3
+
+
+def test_a_limit_cuts_the_noise_too() -> None:
+    """Outputs from four standard deviations of the noise below a limit to four above: the means of many samples."""
+    observed, _ = _limited(6, 1.0)
+    sigma, limit = 0.02 * DEG, 89.5 * DEG
+    noise = sigma * np.random.default_rng(1).standard_normal(200_000)
+    outputs = limit + sigma * np.linspace(-4, 4, 41)
+    nominal = np.zeros_like(observed.values)
+    nominal[:41, 0], nominal[:41, 1] = outputs, -outputs
+    scatter = np.tile(np.quantile(noise, (np.arange(256) + 0.5) / 256), (6, 1))
+    at = replace(observed, fitted=nominal, scatter=scatter)
+    (column,) = GyroSaturation().at(at, 89.5).columns
+    expected = [float(np.minimum(output + noise, limit).mean()) - output for output in outputs]
+    np.testing.assert_allclose(column.parts[0][:41], expected, atol=0.01 * sigma)
+    np.testing.assert_allclose(column.parts[1][:41], -np.array(expected), atol=0.01 * sigma)
+    (sharp,) = GyroSaturation().at(replace(at, scatter=None), 89.5).columns
+    np.testing.assert_allclose(sharp.parts[0][:41], np.minimum(limit - outputs, 0.0), atol=1e-12)

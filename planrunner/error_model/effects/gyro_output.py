@@ -125,8 +125,7 @@ class GyroSaturation(Shaped):
         return float(observed.largest_gyro_output.max()) / DEG * (1 - np.geomspace(0.6, 1e-7, 32))
 
     def at(self, observed: Observed, value: float) -> Variant:
-        limit = value * DEG
-        return _changed(observed, lambda y: np.clip(y, -limit, limit), value, observed.largest_gyro_output > limit)
+        return _clipped(observed, value, (-value * DEG, value * DEG))
 
 
 class _OneSided(Shaped):
@@ -147,11 +146,7 @@ class _OneSided(Shaped):
         return reached / DEG * (1 - np.geomspace(0.6, 1e-7, 20)) if reached > 0 else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        limit, sign = value * DEG, self.sign
-        return _changed(observed, lambda y: sign * np.minimum(sign * y, limit), value, self._farthest(observed) > limit)
-
-    def _farthest(self, observed: Observed) -> Array:
-        return self.sign * observed.gyro_range[:, int(self.sign > 0)]
+        return _clipped(observed, value, (-np.inf, value * DEG) if self.sign > 0 else (-value * DEG, np.inf))
 
 
 class _Above(_OneSided):
@@ -231,6 +226,37 @@ class GyroFoldOver(Shaped):
         limit = value * DEG
         beyond = observed.largest_gyro_output > limit
         return _changed(observed, lambda y: y - 2 * limit * np.floor((y + limit) / (2 * limit)), value, beyond)
+
+
+def _clipped(observed: Observed, shape: float, limits: tuple[float, float]) -> Variant:
+    """Returns the variant of an effect that clips the output at a lower and an upper limit [rad/s]. A sample is clipped together with
+    its noise. Therefore, an output near a limit is already reduced on average: for a noise n, the mean of min(y + n, L) is
+    y + E[min(n, L − y)]. Without `scatter`, the noise is neglected."""
+    gyros, reach = observed.of_kind("gyro"), 0.0
+    noise = np.zeros((len(gyros), 1))
+    if observed.scatter is not None:
+        noise = np.sort(observed.scatter[gyros], axis=1)
+        noise -= noise.mean(axis=1, keepdims=True)
+        reach = float(np.abs(noise).max())
+    lower, upper = limits
+
+    def output(nominal: Array) -> Array:
+        out = nominal.copy()
+        for place, own in enumerate(noise):
+            out[:, place] += _mean_of_smaller(own, upper - nominal[:, place])
+            out[:, place] -= _mean_of_smaller(-own[::-1], nominal[:, place] - lower)
+        return out
+
+    acting = (observed.gyro_range[:, 1] > upper - reach) | (observed.gyro_range[:, 0] < lower + reach)
+    return _changed(observed, output, shape, acting)
+
+
+def _mean_of_smaller(noise: Array, distance: Array) -> Array:
+    """Returns the mean of min(n, d) over the noise n for each distance d (N,). `noise`: array of shape (Q,), sorted values with the
+    mean 0."""
+    below = np.arange(1, len(noise) + 1)
+    means = (np.cumsum(noise) + (len(noise) - below) * noise) / len(noise)
+    return np.where(distance < noise[0], distance, np.interp(distance, noise, means))
 
 
 def _changed(

@@ -39,10 +39,12 @@ from planrunner.gap.evidence.weighing import (
 )
 from planrunner.physics.sampled_motion import AngleFrom
 from planrunner.plan.model import NOMINAL_TERMS
+from planrunner.plan.schedule import Rest
 
 ABSORBED = 1e-4  # share of a signature's energy that remains through rounding when nominal parameters absorb an effect completely
 FULL = NOMINAL_TERMS
 EXCLUDED = -15.0  # log probability below which amplitudes count as physically impossible: 5 σ beyond a limit
+_QUANTILES = 256  # of the noise of a sample
 _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise is left out
 
 
@@ -215,6 +217,7 @@ class Weighing:
         self.settings: dict[str, tuple[Setting, ...]] = {
             kind: settings_of(observed, slow, means, kind) for kind in ("gyro", "accel")
         }
+        self.observed = replace(observed, scatter=self._scatter())
         self.observed = self.seen()
         rounding = undithered(observed, self.white, self.coarse)
         self.weights: list[list[ChannelWeights]] = []
@@ -267,6 +270,17 @@ class Weighing:
             values - basis @ (basis.T @ values) for basis, values in zip(bases, self.spectrum.values.T, strict=True)
         ]
         return np.column_stack(each)
+
+    def _scatter(self) -> Array:
+        """Returns quantiles (K, Q) of the noise of a sample at rest, SI. The noise is assumed to be normal if the recording contains
+        means over bins, or if no segment is at rest."""
+        from scipy.special import ndtri
+
+        observed, share = self.observed, (np.arange(_QUANTILES) + 0.5) / _QUANTILES
+        still = np.array([isinstance(motion, Rest) for motion in observed.motions])[observed.owner]
+        if observed.bins is not None or not still.any():
+            return np.outer(self.white, ndtri(share))
+        return np.asarray(np.quantile(self.spectrum.remainder[still], share, axis=0).T)
 
     def nominal_values(self, taken: Sequence[Array] | None = None) -> list[Array]:
         """Returns, for each channel, the values (q,) of its nominal parameters in magnitudes, in the order of its columns in
