@@ -282,12 +282,16 @@ class Weighing:
             return np.outer(self.white, ndtri(share))
         return np.asarray(np.quantile(self.spectrum.remainder[still], share, axis=0).T)
 
-    def nominal_values(self, taken: Sequence[Array] | None = None) -> list[Array]:
+    def nominal_values(
+        self, taken: Sequence[Array] | None = None, change: Sequence[Array] | None = None
+    ) -> list[Array]:
         """Returns, for each channel, the values (q,) of its nominal parameters in magnitudes, in the order of its columns in
         `whole`. The values are fitted by least squares to all coefficients. `taken`: for each channel, the coefficients (M,) that
-        an effect explains; they are subtracted before the fit."""
+        an effect explains; they are subtracted before the fit. `change`: for each channel, the change (M, q) of the effect per
+        magnitude of each nominal parameter, which is added to the columns of the parameters."""
         found = []
-        for index, nominal in enumerate(self.whole):
+        for index, whole in enumerate(self.whole):
+            nominal = whole if change is None else whole + change[index]
             design = np.hstack([nominal, self.angles[index]])
             size = np.linalg.norm(design, axis=0) + 1e-300
             left = self.spectrum.values[:, index] - (0.0 if taken is None else taken[index])

@@ -81,15 +81,11 @@ def settled(weighing: Weighing, effect: Shaped, shape: float, taken: Sequence[Ar
     for _ in range(_STEPS):
         point = operating_point(weighing, effect, shape, taken)
         seen = weighing.seen(taken)
-        effects = [raw.sum(axis=1) for raw in coefficients_of(seen, weighing.spectrum, effect.at(seen, shape).columns)]
-        before, taken = taken, []
-        for channel, own in enumerate(effects):
-            change, values = point.change[channel], point.values[channel]
-            design = np.hstack([point.nominal[channel] + change, weighing.angles[channel]])
-            size = np.linalg.norm(design, axis=0) + 1e-300
-            left = weighing.spectrum.values[:, channel] - own + change @ values
-            fitted = np.linalg.lstsq(design / size, left, rcond=None)[0] / size
-            taken.append(own + change @ (fitted[: len(values)] - values))
+        caused = [raw.sum(axis=1) for raw in coefficients_of(seen, weighing.spectrum, effect.at(seen, shape).columns)]
+        fixed = [own - change @ at for own, change, at in zip(caused, point.change, point.values, strict=True)]
+        fitted = weighing.nominal_values(fixed, point.change)
+        before = taken
+        taken = [own + change @ values for own, change, values in zip(fixed, point.change, fitted, strict=True)]
         away = [
             (new - old) / weighing.white[channel] for channel, (new, old) in enumerate(zip(taken, before, strict=True))
         ]
