@@ -23,8 +23,10 @@ from planrunner.instruments.formats.guessing import (
     LikelyTime,
     columns_of_numbers,
     columns_of_times,
+    guessed_channel,
     guessed_channels,
     guessed_format,
+    guessed_readings,
     guessed_time,
     not_numbers,
     of_minutes,
@@ -33,9 +35,12 @@ from planrunner.instruments.formats.guessing import (
     reading,
     sensors_in_rows,
     stated_rates,
+    table_of_readings,
     usual_unit,
+    with_readings,
     wrap_of,
 )
+from planrunner.instruments.formats.long import LongFile
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording_motion import TurnComparison, turns_compared
 from planrunner.physics.earth import EARTH_RATE
@@ -210,6 +215,12 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         given = guessed_format(path, path.name)
         whole = opened(path, path.name, given)
         columns = columns_of_numbers(whole)
+        likely = guessed_readings(whole, columns)
+        if likely is not None:
+            whole = table_of_readings(whole, likely)
+            columns = whole.columns()
+            given = with_readings(path, given, likely.readings)
+            _whole_samples(whole, columns)
         _one_sensor_a_row(whole, columns)
         whole = of_sensors_alone(whole, columns)
         file = reading(whole, columns)
@@ -217,8 +228,11 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         if first is None:
             raise InstrumentError(f"{path.name} holds no samples")
         plain = [column for column in columns if not of_minutes(first[column])]
-        written = {} if rate is not None else columns_of_times(whole, plain)
-        time = guessed_time(first, written, stated_rates(path, path.name, given))
+        if likely is not None:
+            time, rate = likely.time, None
+        else:
+            written = {} if rate is not None else columns_of_times(whole, plain)
+            time = guessed_time(first, written, stated_rates(path, path.name, given))
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
             hint = "state the sample rate, such as --sample-rate '100 Hz'"
@@ -260,6 +274,12 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     return Look(
         path.name, given, stamp, found, rows, channels, other, sparse, windows, still, clock.backwards, pauses, motion
     )
+
+
+def _whole_samples(table: LongFile, columns: Sequence[str]) -> None:
+    """Raises `InstrumentError` if no sample of a table of readings contains all gyros and accelerometers."""
+    sensed = [column for column in columns if guessed_channel(column).sensed in ("gyro", "accel")]
+    table.with_channels(table.stamps, {column: column for column in sensed}).look()
 
 
 def _one_sensor_a_row(file: AnyFile, columns: Sequence[str]) -> None:

@@ -45,7 +45,7 @@ def _quoted(text: str) -> str:
 
 
 def _stated(keys: Record) -> list[str]:
-    """Returns the keys of a format that differ from their defaults, in YAML. The separator of a text is always stated."""
+    """Returns those keys of a record that differ from their defaults, in YAML. The separator of a text is always stated."""
     found = []
     for name, item in keys_of(type(keys)).items():
         value = getattr(keys, item.name)
@@ -70,7 +70,10 @@ def bench_of(look: Look, name: str) -> str:
         f"    file: {_quoted(look.file)}",
     ]
     if look.format is not None:
-        lines.append(f"    format: {{{', '.join([f'type: {look.format.type}', *_stated(look.format.parameters)])}}}")
+        stated = [f"type: {look.format.type}", *_stated(look.format.parameters)]
+        if look.format.readings is not None:
+            stated.append(f"readings: {{{', '.join(_stated(look.format.readings))}}}")
+        lines.append(f"    format: {{{', '.join(stated)}}}")
     lines.append("    kind: imu")
     if look.backwards:
         lines.append(

@@ -319,6 +319,62 @@ def json_of_pandas(folder: Path) -> Path:
     return text(folder / "r.json", json.dumps(held), [])
 
 
+def sensor_events(later: float) -> Write:
+    """As loggers of phones write: one row for each event of a sensor. `later`: delay of the accelerometer, ns."""
+
+    def write(folder: Path) -> Path:
+        lines = [
+            f"{1e9 * t + delay:.0f},{name},{row}"
+            for t, *pair in zip(TIME.tolist(), rows(GYRO), rows(ACCEL), strict=True)
+            for name, row, delay in zip(("gyroscope", "accelerometer"), pair, (0, later), strict=True)
+        ]
+        return text(folder / "r.csv", "timestamp,sensor,x,y,z", lines)
+
+    return write
+
+
+def each_reading(*table: Array, names: str = IN_DPS_G) -> Iterable[tuple[float, str, float]]:
+    """Yields time, name and value of each reading, in the order of time."""
+    for t, row in zip(TIME.tolist(), np.column_stack(table).tolist(), strict=True):
+        yield from ((t, name, value) for name, value in zip(names.split(","), row, strict=True))
+
+
+def readings(folder: Path) -> Path:
+    """As a data base of time series exports them: dates, names, values and units."""
+    stamp = at("%Y-%m-%d %H:%M:%S.{f}")
+    units = {"g": "deg/s", "a": "g"}
+    lines = [
+        f"{stamp(t)};{name};{value:.7f};{units[name[0]]}" for t, name, value in each_reading(GYRO * DEG, ACCEL / G)
+    ]
+    return text(folder / "r.csv", "_time;_measurement;_value;unit", lines)
+
+
+def readings_in_blocks(folder: Path) -> Path:
+    """As `pandas.melt` arranges them: all times of one channel, then all times of the next."""
+    names = [f"{kind}_{x}" for kind in ("gyro", "accel") for x in "xyz"]
+    table = {
+        "time_s": np.tile(TIME, 6),
+        "variable": np.repeat(names, len(TIME)),
+        "value": np.column_stack([GYRO, ACCEL]).T.ravel(),
+    }
+    pq.write_table(pa.table(table), folder / "r.parquet")
+    return folder / "r.parquet"
+
+
+def readings_in_json(folder: Path) -> Path:
+    lines = [
+        json.dumps({"time_ms": round(1000 * t), "channel": name, "value": value})
+        for t, name, value in each_reading(GYRO * DEG, ACCEL / G)
+    ]
+    return text(folder / "r.jsonl", lines[0], lines[1:])
+
+
+def readings_twice(folder: Path) -> Path:
+    names = ",".join(f"{kind}_{x}" for kind in ("gyro", "accel") for x in "xyz")
+    lines = [f"{t:.2f},{name},{value:.7f}" for t, name, value in each_reading(GYRO, ACCEL, names=names)]
+    return text(folder / "r.csv", "time_s,channel,value", [*lines[:99], lines[98], *lines[99:]])
+
+
 CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "vectornav": (vectornav, None, "rad/s", "m/s^2"),
     "sbg": (sbg, "us", "deg/s", "m/s^2"),
@@ -361,6 +417,10 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "numpy": (numpy_dates, DATE, "rad/s", "m/s^2"),
     "matlab": (matlab_days, "days", "rad/s", "m/s^2"),
     "sqlite": (sqlite, DATE, "rad/s", "m/s^2"),
+    "sensor events": (sensor_events(0), "ns", "rad/s", "m/s^2"),
+    "readings": (readings, DATE, "deg/s", "g"),
+    "readings in blocks": (readings_in_blocks, "s", "rad/s", "m/s^2"),
+    "readings in json": (readings_in_json, "ms", "deg/s", "g"),
     "json lines": (json_lines, DATE, "rad/s", "m/s^2"),
     "json list": (json_list("r.log"), "ms", "deg/s", "g"),
     "json document": (json_list("r.json", {"device": {"serial": "7", "axes": [1, 2, 3]}}), "ms", "deg/s", "g"),
@@ -413,13 +473,9 @@ def thousands(folder: Path) -> Path:
     )
 
 
-def one_sensor_a_row(folder: Path) -> Path:
-    lines = [
-        f"{int(1e9 * t)},{name},{row}"
-        for t, *pair in zip(TIME.tolist(), rows(GYRO), rows(ACCEL), strict=True)
-        for name, row in zip(("gyroscope", "accelerometer"), pair, strict=True)
-    ]
-    return text(folder / "r.csv", "timestamp,sensor,x,y,z", lines)
+def sensors_apart(folder: Path) -> Path:
+    """The accelerometer measures 1 ms after the gyro."""
+    return sensor_events(1e6)(folder)
 
 
 def written(content: bytes) -> Write:
@@ -435,7 +491,8 @@ def written(content: bytes) -> Write:
     [
         (words, "line 702: 'ERR' in column 'gx_dps' is not a number; correct it, or leave it empty"),
         (thousands, "'85,000.000' in column 'time_ms' is not a number; write numbers without thousands separators"),
-        (one_sensor_a_row, "belongs to one sensor, which the column 'sensor' states: gyroscope, accelerometer"),
+        (sensors_apart, "'gyroscope.x' and 'accelerometer.x' have no readings at the same time"),
+        (readings_twice, "row 100 (line 101): the time of 'gyro_z' does not increase: 0.32 s after 0.32 s"),
         (written(gzip.compress(b"t,gx\n")), "is a compressed file: unpack it first"),
         (written(b"PK\x03\x04" + bytes(200)), "is an archive or an Excel workbook"),
         (written(b"#ROSBAG V2.0\n" + bytes(200)), "is a ROS bag"),

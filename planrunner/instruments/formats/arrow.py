@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from planrunner.base import arrow_columns
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
@@ -38,6 +41,12 @@ class ArrowRows:
             message = f"column '{column}' contains a value that is not a number, in {rows}"
             raise InstrumentError(f"{self.name}: {message}") from None
         return arrow_columns.numbers(values)
+
+    def words(self, column: str) -> tuple[list[str], NDArray[np.int64]]:
+        import pyarrow as pa
+
+        encoded = self.batch.column(column).cast(pa.string()).dictionary_encode()
+        return encoded.dictionary.to_pylist(), np.asarray(encoded.indices.fill_null(-1), np.int64)
 
     def times(self, column: str, where: clock.PlaceOfText, dates: clock.DateOrder) -> Array:
         return clock.of_arrow(self.batch.column(column), where, dates)

@@ -13,10 +13,11 @@ from planrunner.instruments.formats.binary import BinaryFile, BinaryKeys, check_
 from planrunner.instruments.formats.database import SqliteFile
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
 from planrunner.instruments.formats.json_samples import JsonFile
+from planrunner.instruments.formats.long import LongFile, Readings
 from planrunner.instruments.formats.parquet import ParquetFile
 from planrunner.instruments.formats.text import TextFile
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.plan.kinds import Choice, Plugged, Record, key
+from planrunner.plan.kinds import Choice, Plugged, Record, RecordOf, key, optional
 from planrunner.plan.source import Node
 
 FORMATS: dict[str, type[AnyFile]] = {
@@ -52,10 +53,15 @@ ENDINGS = {
 
 
 class Format(Record):
-    """The format of a recording. Each format has additional keys (`parameters`)."""
+    """The format of a recording, and the arrangement of a table of readings. Each format has additional keys (`parameters`)."""
 
     type: str = key(
         Choice(tuple(FORMATS)), "The format; by default, the extension of the file name determines it.", "text"
+    )
+    readings: Readings | None = optional(
+        RecordOf(Readings),
+        "For a table in which each row is one reading of one channel or sensor: the columns of its name and of its values.",
+        {"name": "channel", "values": "value"},
     )
     parameters: Record = field(default_factory=Record)
 
@@ -96,10 +102,7 @@ def open_file(path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, 
     if kind == "matlab" and is_hdf5(path, name):
         kind = "hdf5"
     made = FORMATS[kind]
-    return made(
-        path,
-        name,
-        stamps,
-        channels,
-        given.parameters if given is not None and kind == given.type else made.Parameters(),
-    )
+    parameters = given.parameters if given is not None and kind == given.type else made.Parameters()
+    if given is None or given.readings is None:
+        return made(path, name, stamps, channels, parameters)
+    return LongFile(made(path, name, stamps, {}, parameters), given.readings, stamps, channels)

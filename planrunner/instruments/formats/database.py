@@ -95,7 +95,7 @@ class SqliteFile(FormatFile[SqliteKeys]):
                 first += len(rows)
 
     def _values(self, column: str, values: tuple[object, ...], first: int) -> NDArray[np.generic]:
-        if self.stamps.written and column in self.stamps.columns:
+        if column in self.unconverted:
             return np.array(values, dtype=object)
         return self._numbers(column, values, first)
 

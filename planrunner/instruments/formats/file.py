@@ -84,6 +84,9 @@ class SampleRows(Protocol):
         """Returns the values of a column, shape (count,). A missing number is NaN. Raises `InstrumentError` for a value that is not
         a number."""
 
+    def words(self, column: str) -> tuple[list[str], NDArray[np.int64]]:
+        """Returns the different texts in a column, and the index of the text of each row, shape (count,); -1 if it is missing."""
+
     def times(self, column: str, where: clock.PlaceOfText, dates: clock.DateOrder) -> Array:
         """Returns the times [s] in a column of dates or times of day, shape (count,). A missing time is NaN. `where`: names the place
         of a row, whose index is counted from 0. `dates`: the order of day and month. Raises `InstrumentError` for a value that is
@@ -124,7 +127,7 @@ class FormatFile(ABC, Generic[Keys]):
     `name`: name of the file, used in messages. `stamps`: where the time of a row comes from. `channels`: for each channel, the name
     of its column. `parameters`: the keys of the format in the bench file. `origin`: time of the first row, s. `interval`: median
     time between the first rows, s; NaN if there is only one row. `about`: approximate number of rows. The method `look` sets
-    `origin`, `interval` and `about`.
+    `origin`, `interval` and `about`. `texts`: columns of texts that are read in addition to those of the channels.
     """
 
     Parameters: type[Record] = NoKeys
@@ -133,6 +136,7 @@ class FormatFile(ABC, Generic[Keys]):
         self.path, self.name, self.stamps, self.parameters = path, name, stamps, parameters
         self.channels = dict(channels)
         self.origin, self.interval, self.about = 0.0, math.nan, 0
+        self.texts: frozenset[str] = frozenset()
 
     def with_channels(self, stamps: TimeStamps, channels: Mapping[str, str]) -> Self:
         """Returns the same file with another time and other channels. What is known about its contents is not determined again."""
@@ -172,9 +176,14 @@ class FormatFile(ABC, Generic[Keys]):
 
     @property
     def wanted(self) -> list[str]:
-        """Returns the names of the columns that are needed: the column of the time and the columns of the channels, each listed
-        once."""
-        return list(dict.fromkeys((*self.stamps.columns, *self.channels.values())))
+        """Returns the names of the columns that are needed: the column of the time, the columns of the channels and the columns of
+        texts, each listed once."""
+        return list(dict.fromkeys((*self.stamps.columns, *self.channels.values(), *self.texts)))
+
+    @property
+    def unconverted(self) -> frozenset[str]:
+        """Returns the names of the columns whose values are not converted to numbers."""
+        return self.texts | frozenset(self.stamps.columns if self.stamps.written else ())
 
     def look(self) -> None:
         """Checks the columns and the first rows of the file. Raises `InstrumentError` if a column is absent or ambiguous, or if the
@@ -302,6 +311,13 @@ class HeldRows:
         if values.dtype.kind == "M":
             raise InstrumentError(f"the column '{column}' contains dates, not numbers")
         return np.asarray(values, dtype=np.float64)
+
+    def words(self, column: str) -> tuple[list[str], NDArray[np.int64]]:
+        known: dict[str, int] = {}
+        cells = (None if cell is None or cell != cell else cell for cell in self.values[column].tolist())
+        texts = (f"{cell:g}" if isinstance(cell, float) else cell for cell in cells)
+        index = [-1 if cell is None else known.setdefault(str(cell), len(known)) for cell in texts]
+        return list(known), np.array(index, np.int64)
 
     def times(self, column: str, where: clock.PlaceOfText, dates: clock.DateOrder) -> Array:
         return clock.of_objects(self.values[column], where, dates)

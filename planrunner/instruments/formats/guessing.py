@@ -11,7 +11,7 @@ import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,12 +19,14 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-from planrunner.instruments.formats.choice import ENDINGS, Format, open_file
+from planrunner.instruments.formats.choice import ENDINGS, FORMATS, Format, open_file
 from planrunner.instruments.formats.clock import DAY, NoTimesError
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
 from planrunner.instruments.formats.json_samples import JsonFile, JsonKeys
+from planrunner.instruments.formats.long import LongFile, Readings
 from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextFile, TextKeys
 from planrunner.instruments.interfaces import InstrumentError
+from planrunner.plan.span import EVERYTHING
 from planrunner.plan.units import STANDARD_GRAVITY
 
 MOST_COLUMNS = 200
@@ -33,6 +35,11 @@ _NUMBER = re.compile(r"[+-]?(\d{1,3}(?:,\d{3})+\.\d*|\d+[.,]?\d*|[.,]\d+)([eE][+
 _TIME = re.compile(
     r"(?:^|[^a-z])(t|time|timestamp|stamp|clock|epoch?|seconds|ticks?|zeit|sekunden|utc|sow|tow)(?:[^a-z]|$)|timestamp|time",
     re.IGNORECASE,
+)
+_STAMP = re.compile(r"(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[T ]\s*)?\d{1,2}:\d{2}(?!\w)")
+"""Start of a date with a time, or of a time of day."""
+_VALUE = re.compile(
+    r"(?:^|[^a-z])(values?|readings?|wert|val|measure\w*|data|signal|result)(?:[^a-z]|$)", re.IGNORECASE
 )
 _COUNT = re.compile(r"(?:^|[^a-z])(n|count|counter|index|samples?|row)(?:[^a-z]|$)", re.IGNORECASE)
 _UNITS = (
@@ -254,6 +261,11 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
     same number of columns. If several separators are equally good, the separator that gives the most columns is chosen. Returns
     None if the lines contain no columns of numbers."""
     lines = start.splitlines()[:-1] or start.splitlines()
+    return _best_layout(lines, encoding, _numeric) or _best_layout(lines, encoding, _of_reading)
+
+
+def _best_layout(lines: Sequence[str], encoding: str, is_row: Callable[[Sequence[str]], bool]) -> TextKeys | None:
+    """Guesses the layout of lines, as described in `_text_keys`. `is_row`: returns True for the cells of a row."""
     best: tuple[int, int, TextKeys] | None = None
     for word, separator in SEPARATORS.items():
         cells = [_cells(line, word, separator) for line in lines]
@@ -261,11 +273,11 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
         if not widths:
             continue
         width = widths.most_common(1)[0][0]
-        first = _first_row(cells, width)
+        first = _first_row(cells, width, is_row)
         if width < 2 or first is None:
             continue
         rows = cells[first:]
-        if sum(_numeric(row) for row in rows if len(row) == width) < len(rows) / 2:
+        if sum(is_row(row) for row in rows if len(row) == width) < len(rows) / 2:
             continue
         comma = separator != "," and any("," in cell for row in rows for cell in row)
         names = _names_above(cells[:first], width)
@@ -282,9 +294,10 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
     return None if best is None else best[2]
 
 
-def _first_row(cells: Sequence[Sequence[str]], width: int) -> int | None:
-    """Returns the index of the first line in which most cells are numbers, and which is followed by three lines of this kind."""
-    fits = [len(row) == width and _numeric(row) for row in cells]
+def _first_row(cells: Sequence[Sequence[str]], width: int, is_row: Callable[[Sequence[str]], bool]) -> int | None:
+    """Returns the index of the first line that is a row, and is followed by three rows. `is_row`: returns True for the cells of a
+    row."""
+    fits = [len(row) == width and is_row(row) for row in cells]
     return next((index for index in range(len(fits)) if all(fits[index : index + 4])), None)
 
 
@@ -299,6 +312,15 @@ def _cells(line: str, word: str, separator: str) -> list[str]:
 def _numeric(row: Sequence[str]) -> bool:
     """Returns True if most cells of a line are numbers."""
     return sum(_NUMBER.fullmatch(cell.strip().strip('"')) is not None for cell in row) > len(row) / 2
+
+
+def _of_reading(row: Sequence[str]) -> bool:
+    """Returns True if a line may be a reading: a time, a name, and a number, perhaps with a unit."""
+    cells = [cell.strip().strip('"') for cell in row]
+    numbers = sum(bool(cell) and _NUMBER.fullmatch(cell) is not None for cell in cells)
+    return (
+        len(row) > 2 and numbers > 0 and numbers + sum(_STAMP.match(cell) is not None for cell in cells) >= len(row) / 2
+    )
 
 
 def _names_above(lines: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
@@ -401,6 +423,62 @@ def of_sensors_alone(file: AnyFile, columns: Sequence[str]) -> AnyFile:
     return file.deciding(sensed) if isinstance(file, JsonFile) and sensed else file
 
 
+@dataclass(frozen=True, slots=True)
+class LikelyReadings:
+    """The probable arrangement of a table in which each row is one reading, and the column of its time."""
+
+    readings: Readings
+    time: LikelyTime
+
+
+def guessed_readings(file: AnyFile, numbers: Sequence[str]) -> LikelyReadings | None:
+    """Finds out whether each row of a table is one reading of one channel or sensor; None if it is not, or if no column looks like
+    the time. `numbers`: the columns of numbers. Raises `InstrumentError` if the file cannot be read."""
+    if any(guessed_channel(column).sensed in ("gyro", "accel") for column in numbers):
+        return None
+    known = file.columns()[:MOST_COLUMNS]
+    for column in dict.fromkeys(known):
+        if not column or column in numbers or known.count(column) > 1:
+            continue
+        one = file.with_channels(_COUNTED, {number: number for number in numbers})
+        one.texts = frozenset({column})
+        try:
+            _, rows = next(one.batches(EVERYTHING))
+            words, index = rows.words(column)
+        except (InstrumentError, StopIteration, *one.faults()):
+            continue
+        sensed = [k for k, word in enumerate(words) if guessed_channel(word).sensed in ("gyro", "accel")]
+        if len(sensed) < 2 or len(words) > MOST_COLUMNS:
+            continue
+        own = index == max(sensed, key=np.bincount(index[index >= 0]).__getitem__)
+        first = {number: rows.numbers(number)[own] for number in numbers}
+        plain = [number for number in numbers if not of_minutes(first[number])]
+        written = {name: times[: len(own)][own[: len(times)]] for name, times in columns_of_times(file, plain).items()}
+        time = guessed_time(first, written)
+        if time is None:
+            continue
+        values = [one for one in numbers if one != time.column and not _TIME.search(one) and not _COUNT.search(one)]
+        named = [one for one in values if _VALUE.search(one)] or [one for one in values if _AXIS.search(one)] or values
+        if named:
+            return LikelyReadings(Readings(name=column, values=tuple(named)), replace(time, shared=False))
+    return None
+
+
+def with_readings(path: Path, given: Format | None, readings: Readings) -> Format:
+    """Returns the format of a file that is a table of readings. `given`: the format; None if the extension determines it."""
+    kind = ENDINGS[path.suffix.lower()] if given is None else given.type
+    parameters = FORMATS[kind].Parameters() if given is None else given.parameters
+    return Format(type=kind, readings=readings, parameters=parameters)
+
+
+def table_of_readings(file: AnyFile, likely: LikelyReadings) -> LongFile:
+    """Returns a table of readings as a file with one column for each channel."""
+    time = likely.time
+    return LongFile(
+        file, likely.readings, TimeStamps(time.column, time.scale, wraps=time.wraps, written=time.written), {}
+    )
+
+
 def sensors_in_rows(file: AnyFile, numbers: Sequence[str]) -> tuple[str, tuple[str, ...]]:
     """Finds the column of a text file that states which sensor measured the row. Returns this column and the names of the sensors;
     empty if there is no such column. Raises `InstrumentError` if the file cannot be read."""
@@ -424,6 +502,7 @@ def reading(file: AnyFile, columns: Sequence[str], time: str | None = None) -> A
     """Returns the file with these columns as channels. `time`: a column of dates or times of day. If it is not given, the rows are
     assumed to be one second apart. Raises `InstrumentError` if the file cannot be read."""
     stamps = _COUNTED if time is None else TimeStamps(time, written=True)
+    stamps = file.stamps if isinstance(file, LongFile) else stamps  # the readings of a sample have the same time
     made = file.with_channels(stamps, {column: column for column in columns})
     made.about = made.rows_about()
     return made

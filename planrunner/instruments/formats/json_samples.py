@@ -128,8 +128,8 @@ class JsonFile(FormatFile[JsonKeys]):
                 values = {}
                 for name in self.wanted:
                     cells = _cells(rows, layout.columns[name])
-                    written = self.stamps.written and name in self.stamps.columns
-                    values[name] = np.array(cells, dtype=object) if written else self._numbers(cells, name, first)
+                    kept = name in self.unconverted
+                    values[name] = np.array(cells, dtype=object) if kept else self._numbers(cells, name, first)
                 yield first, HeldRows(len(rows), values)
                 first += len(rows)
             self._truncated = scanner.truncated
@@ -258,8 +258,7 @@ class JsonFile(FormatFile[JsonKeys]):
             values: dict[str, NDArray[np.generic]] = {}
             for name in self.wanted:
                 part = held[name][begin : begin + ROWS]
-                written = self.stamps.written and name in self.stamps.columns
-                texts = part.dtype.kind == "O" and not written
+                texts = part.dtype.kind == "O" and name not in self.unconverted
                 values[name] = self._numbers(part.tolist(), name, begin + 1) if texts else part
             yield begin + 1, HeldRows(len(next(iter(values.values()))), values)
 

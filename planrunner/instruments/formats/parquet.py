@@ -95,7 +95,7 @@ class ParquetFile(FormatFile[NoKeys]):
         with open_samples(self.path, self.name) as opened:
             check_directory(opened, self.name)
             with pq.ParquetFile(opened, buffer_size=1 << 20, pre_buffer=False) as file:
-                check_parquet(file, self.name, self.wanted, self.stamps.columns if self.stamps.written else ())
+                check_parquet(file, self.name, self.wanted, self.unconverted)
                 yield file
 
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:

@@ -188,8 +188,7 @@ class TextFile(FormatFile[TextKeys]):
 
         layout = self.parameters
         types = {} if wanted is None else dict.fromkeys(wanted, pa.float64())
-        if self.stamps.written:
-            types |= dict.fromkeys(types.keys() & self.stamps.columns, pa.string())
+        types |= dict.fromkeys(types.keys() & self.unconverted, pa.string())
         convert = arrow_csv.ConvertOptions(
             column_types=types, include_columns=wanted, strings_can_be_null=True, decimal_point=layout.point
         )
@@ -206,7 +205,7 @@ class TextFile(FormatFile[TextKeys]):
                 with arrow_csv.open_csv(text, options, parse, convert) as reader:
                     yield reader
         except (pa.ArrowInvalid, pa.ArrowKeyError, OSError, UnicodeDecodeError) as error:
-            numbers = [column for column in wanted or [] if not (self.stamps.written and column in self.stamps.columns)]
+            numbers = [column for column in wanted or [] if column not in self.unconverted]
             raise self._not_numbers(numbers) or self.unreadable(error) from None
 
     def _text(self, file: BinaryIO) -> BinaryIO | Blanks:
