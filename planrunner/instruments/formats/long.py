@@ -49,7 +49,7 @@ class Readings(Record):
     )
     within: Quantity = key(
         QuantityOf("time", "not negative"),
-        "Longest time between two successive readings of the channels in one sample. By default, the readings of a sample have the same time.",
+        "Longest time between two successive readings of a sample. By default, the readings of a sample have the same time.",
         "1 ms",
         default=_SAME_TIME,
     )
