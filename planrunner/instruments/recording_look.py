@@ -228,11 +228,9 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         if first is None:
             raise InstrumentError(f"{path.name} holds no samples")
         plain = [column for column in columns if not of_minutes(first[column])]
-        if likely is not None:
-            time, rate = likely.time, None
-        else:
-            written = {} if rate is not None else columns_of_times(whole, plain)
-            time = guessed_time(first, written, stated_rates(path, path.name, given))
+        written = {} if rate is not None or likely is not None else columns_of_times(whole, plain)
+        time = guessed_time(first, written, stated_rates(path, path.name, given)) if likely is None else likely.time
+        rate = rate if likely is None else None  # the rows of a table of readings cannot be counted
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
             hint = "state the sample rate, such as --sample-rate '100 Hz'"

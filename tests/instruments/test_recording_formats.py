@@ -12,13 +12,14 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import openpyxl
 import pytest
 from numpy.typing import NDArray
 from scipy.io import savemat
 
 from planrunner.base.findings import Findings
 from planrunner.bench.clock import VirtualClock
-from planrunner.instruments.formats import arrays, json_samples
+from planrunner.instruments.formats import arrays, json_samples, workbook
 from planrunner.instruments.formats import file as format_file
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.instruments.recording import RecordingPlayer
@@ -173,7 +174,23 @@ def write_json_columns(folder: Path) -> str:
     return "file: r.json\ntime: {column: t}\n" + columns({"x": "rates[1]", "z": "rates[3]"})
 
 
+def write_excel(folder: Path) -> str:
+    book = openpyxl.Workbook()
+    book.active.title = "notes"
+    sheet = book.create_sheet("Run 3")
+    for row in [["serial", 7], [], ["t", "x", "remark", "z"]]:
+        sheet.append(row)
+    for k, (t, row) in enumerate(zip(TIME.tolist(), RATE.tolist(), strict=True)):
+        sheet.append([t, row[0], "start" if k == 0 else None, row[2]])
+        if k == 500:
+            sheet.append([])
+    book.save(folder / "r.xlsx")
+    keys = "file: r.xlsx\nformat: {type: excel, sheet: Run 3, skip: 2}\ntime: {column: t}\n"
+    return keys + columns({"x": "x", "z": "z"})
+
+
 WRITERS = (
+    write_excel,
     write_json_lines,
     write_json_list,
     write_json_columns,
@@ -198,6 +215,7 @@ def test_every_format_gives_the_numbers_that_its_library_wrote(
 ) -> None:
     monkeypatch.setattr(format_file, "BATCH", batch)
     monkeypatch.setattr(json_samples, "ROWS", batch)
+    monkeypatch.setattr(workbook, "ROWS", batch)
     time, channels = read(tmp_path, write(tmp_path))
     np.testing.assert_allclose(time, TIME - TIME[0], rtol=0, atol=2e-9)
     np.testing.assert_allclose(channels["x"], RATE[:, 0], rtol=0, atol=1e-12)
@@ -349,7 +367,7 @@ def test_a_view_of_sqlite_is_not_run(tmp_path: Path) -> None:
     assert "has no tables" in refusal(tmp_path, "file: r.db\ntime: {column: t}\n" + columns({"x": "x"}))
 
 
-@pytest.mark.parametrize("name", ["r.mat", "r.npy", "r.npz", "r.h5", "r.db", "r.ulg", "r.parquet", "r.json"])
+@pytest.mark.parametrize("name", ["r.mat", "r.npy", "r.npz", "r.h5", "r.db", "r.ulg", "r.parquet", "r.json", "r.xlsx"])
 @pytest.mark.parametrize(
     "content", [b"", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n", bytes(range(256)) * 20, zlib.compress(b"x" * 999)]
 )

@@ -14,6 +14,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import openpyxl
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -375,6 +376,29 @@ def readings_twice(folder: Path) -> Path:
     return text(folder / "r.csv", "time_s,channel,value", [*lines[:99], lines[98], *lines[99:]])
 
 
+def excel_workbook(stamp: Callable[[float], object]) -> Write:
+    """A workbook with remarks, names and units above the samples, and another sheet before."""
+
+    def write(folder: Path) -> Path:
+        book = openpyxl.Workbook(write_only=True)
+        book.create_sheet("Protocol").append(["operator", "N. N."])
+        sheet = book.create_sheet("Samples 1")
+        unit = "ms" if isinstance(stamp(0.0), float) else None
+        for head in (
+            ["Unit under test", 7],
+            [],
+            ["Time", *(f"{kind} {x}" for kind in ("Gyro", "Acc") for x in "XYZ"), "Remark"],
+            [unit, *["°/s"] * 3, *["mg"] * 3],
+        ):
+            sheet.append(head)
+        for k, (t, *row) in enumerate(np.column_stack([TIME, GYRO * DEG, 1000 * ACCEL / G]).tolist()):
+            sheet.append([stamp(t), *row, *["start"] * (k == 0)])
+        book.save(folder / "r.xlsx")
+        return folder / "r.xlsx"
+
+    return write
+
+
 CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "vectornav": (vectornav, None, "rad/s", "m/s^2"),
     "sbg": (sbg, "us", "deg/s", "m/s^2"),
@@ -421,6 +445,8 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "readings": (readings, DATE, "deg/s", "g"),
     "readings in blocks": (readings_in_blocks, "s", "rad/s", "m/s^2"),
     "readings in json": (readings_in_json, "ms", "deg/s", "g"),
+    "workbook": (excel_workbook(lambda t: NOON + timedelta(microseconds=round(1e6 * t))), DATE, "deg/s", "mg"),
+    "workbook without dates": (excel_workbook(lambda t: 1000 * t), "ms", "deg/s", "mg"),
     "json lines": (json_lines, DATE, "rad/s", "m/s^2"),
     "json list": (json_list("r.log"), "ms", "deg/s", "g"),
     "json document": (json_list("r.json", {"device": {"serial": "7", "axes": [1, 2, 3]}}), "ms", "deg/s", "g"),
@@ -478,6 +504,14 @@ def sensors_apart(folder: Path) -> Path:
     return sensor_events(1e6)(folder)
 
 
+def workbook_of_words(folder: Path) -> Path:
+    book = openpyxl.Workbook()
+    for _ in range(9):
+        book.active.append(["a", "b", "c"])
+    book.save(folder / "r.xlsx")
+    return folder / "r.xlsx"
+
+
 def written(content: bytes) -> Write:
     def write(folder: Path) -> Path:
         (folder / "r.log").write_bytes(content)
@@ -494,7 +528,12 @@ def written(content: bytes) -> Write:
         (sensors_apart, "'gyroscope.x' and 'accelerometer.x' have no readings at the same time"),
         (readings_twice, "row 100 (line 101): the time of 'gyro_z' does not increase: 0.32 s after 0.32 s"),
         (written(gzip.compress(b"t,gx\n")), "is a compressed file: unpack it first"),
-        (written(b"PK\x03\x04" + bytes(200)), "is an archive or an Excel workbook"),
+        (
+            written(b"PK\x03\x04" + bytes(200)),
+            "is an archive or an Excel workbook: unpack it first, or rename the workbook",
+        ),
+        (written(b"\xd0\xcf\x11\xe0" + bytes(200)), "is an old Excel workbook: save it as an Excel workbook (.xlsx)"),
+        (workbook_of_words, "r.xlsx has no sheet with rows of numbers in its first 200 rows"),
         (written(b"#ROSBAG V2.0\n" + bytes(200)), "is a ROS bag"),
         (written(b'{"t": 0.0, "gx": 1}\n' * 50), "no column of this recording looks like a time that increases"),
         (written(b"t=0.0 gx=1\n" * 50), "its first line is 't=0.0 gx=1'"),

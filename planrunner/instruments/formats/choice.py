@@ -16,6 +16,7 @@ from planrunner.instruments.formats.json_samples import JsonFile
 from planrunner.instruments.formats.long import LongFile, Readings
 from planrunner.instruments.formats.parquet import ParquetFile
 from planrunner.instruments.formats.text import TextFile
+from planrunner.instruments.formats.workbook import WorkbookFile
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Choice, Plugged, Record, RecordOf, key, optional
 from planrunner.plan.source import Node
@@ -30,6 +31,7 @@ FORMATS: dict[str, type[AnyFile]] = {
     "sqlite": SqliteFile,
     "ulog": UlogFile,
     "json": JsonFile,
+    "excel": WorkbookFile,
 }
 ENDINGS = {
     ".csv": "text",
@@ -48,6 +50,8 @@ ENDINGS = {
     ".json": "json",
     ".jsonl": "json",
     ".ndjson": "json",
+    ".xlsx": "excel",
+    ".xlsm": "excel",
 }
 """File formats, by the extension of the file name."""
 

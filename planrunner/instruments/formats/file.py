@@ -3,6 +3,7 @@ sizes."""
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 from abc import ABC, abstractmethod
@@ -156,6 +157,12 @@ class FormatFile(ABC, Generic[Keys]):
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         """Yields batches of rows, each with the number of its first row, counted from 1. A batch may also contain rows outside the
         span."""
+
+    def first_rows(self) -> SampleRows | None:
+        """Returns the first batch of rows; None if there is none, or if it cannot be read."""
+        with contextlib.suppress(InstrumentError, *self.faults()):
+            return next((rows for _, rows in self.batches(EVERYTHING)), None)
+        return None
 
     def faults(self) -> tuple[type[Exception], ...]:
         """Returns the types of exceptions which indicate that the file cannot be read."""

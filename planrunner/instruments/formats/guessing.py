@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import math
 import re
 from collections import Counter
@@ -25,8 +26,8 @@ from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_sample
 from planrunner.instruments.formats.json_samples import JsonFile, JsonKeys
 from planrunner.instruments.formats.long import LongFile, Readings
 from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextFile, TextKeys
+from planrunner.instruments.formats.workbook import WorkbookKeys, open_workbook, sheet_rows
 from planrunner.instruments.interfaces import InstrumentError
-from planrunner.plan.span import EVERYTHING
 from planrunner.plan.units import STANDARD_GRAVITY
 
 MOST_COLUMNS = 200
@@ -38,6 +39,7 @@ _TIME = re.compile(
 )
 _STAMP = re.compile(r"(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[T ]\s*)?\d{1,2}:\d{2}(?!\w)")
 """Start of a date with a time, or of a time of day."""
+_SHEET_ROWS = 200  # of a sheet in which the first sample is searched for
 _VALUE = re.compile(
     r"(?:^|[^a-z])(values?|readings?|wert|val|measure\w*|data|signal|result)(?:[^a-z]|$)", re.IGNORECASE
 )
@@ -209,8 +211,12 @@ _REFUSED = (
     ("a compressed file", b"\x1f\x8b", "unpack it first (gzip)"),
     ("a compressed file", b"BZh", "unpack it first (bzip2)"),
     ("a compressed file", b"\xfd7zXZ", "unpack it first (xz)"),
-    ("an archive or an Excel workbook", b"PK\x03\x04", "unpack it first, or save the sheet as a CSV file"),
-    ("an old Excel workbook", b"\xd0\xcf\x11\xe0", "save the sheet as a CSV file"),
+    (
+        "an archive or an Excel workbook",
+        b"PK\x03\x04",
+        "unpack it first, or rename the workbook with the extension .xlsx",
+    ),
+    ("an old Excel workbook", b"\xd0\xcf\x11\xe0", "save it as an Excel workbook (.xlsx)"),
     ("a ROS bag", b"#ROSBAG", "write the topic of the IMU as CSV, such as with `rostopic echo -b FILE -p TOPIC`"),
     ("a bag of ROS 2", b"\x89MCAP", "write the topic of the IMU as CSV"),
     ("a TDMS file of LabVIEW", b"TDSm", "export its channels as text or as HDF5"),
@@ -225,6 +231,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
     """Guesses the format of a file; None if the extension of the file name determines it. Raises `InstrumentError` if no guess can
     be made."""
     kind = ENDINGS.get(path.suffix.lower())
+    if kind == "excel":
+        return _sheet_of_samples(path, name)
     if kind not in (None, "text"):
         return None
     with open_samples(path, name) as file:
@@ -254,6 +262,37 @@ def guessed_format(path: Path, name: str) -> Format | None:
             f"{message}. Write it as a table with one line for each sample, and only numbers after the header"
         )
     return None if keys == TextKeys() and kind == "text" else Format(type="text", parameters=keys)
+
+
+def _sheet_of_samples(path: Path, name: str) -> Format:
+    """Guesses which sheet of a workbook contains samples, and in which row they begin. Raises `InstrumentError` if no sheet contains
+    columns of numbers."""
+    with open_workbook(path, name) as book:
+        for sheet in book.worksheets:
+            rows = itertools.islice(sheet_rows(sheet, name), _SHEET_ROWS)
+            cells = [["" if cell is None else str(cell) for cell in row] for _, row in rows]
+            width = max((_width(row) for row in cells[-50:]), default=0)
+            cells = [[*row[:width], *[""] * (width - len(row))] for row in cells]
+            first = _first_row(cells, width, _filled) if width > 1 else None
+            if first is None:
+                continue
+            names = _names_above([row[: _width(row)] for row in cells[:first]], width)
+            title = str(sheet.title) if len(book.worksheets) > 1 else None
+            keys = WorkbookKeys(sheet=title, skip=first if names else first - 1, names=names)
+            return Format(type="excel", parameters=keys)
+    message = f"{name} has no sheet with rows of numbers in its first {_SHEET_ROWS} rows"
+    raise InstrumentError(f"{message}. Write one row for each sample, and only numbers after the names of the columns")
+
+
+def _width(row: Sequence[str]) -> int:
+    """Returns the number of cells up to the last one that is not empty."""
+    return max((k + 1 for k, cell in enumerate(row) if cell), default=0)
+
+
+def _filled(row: Sequence[str]) -> bool:
+    """Returns True if a row contains numbers, and most of its cells that are not empty are numbers or times."""
+    cells = [cell for cell in row if cell.strip()]
+    return len(cells) > len(row) / 2 and (_numeric(cells) or _of_reading(cells))
 
 
 def _text_keys(start: str, encoding: str) -> TextKeys | None:
@@ -442,13 +481,10 @@ def guessed_readings(file: AnyFile, numbers: Sequence[str]) -> LikelyReadings | 
             continue
         one = file.with_channels(_COUNTED, {number: number for number in numbers})
         one.texts = frozenset({column})
-        try:
-            _, rows = next(one.batches(EVERYTHING))
-            words, index = rows.words(column)
-        except (InstrumentError, StopIteration, *one.faults()):
-            continue
+        rows = one.first_rows()
+        words, index = ([], np.zeros(0, int)) if rows is None else rows.words(column)
         sensed = [k for k, word in enumerate(words) if guessed_channel(word).sensed in ("gyro", "accel")]
-        if len(sensed) < 2 or len(words) > MOST_COLUMNS:
+        if rows is None or len(sensed) < 2 or len(words) > MOST_COLUMNS:
             continue
         own = index == max(sensed, key=np.bincount(index[index >= 0]).__getitem__)
         first = {number: rows.numbers(number)[own] for number in numbers}

@@ -207,8 +207,8 @@ class LongFile(FormatFile[Record]):
         for number, name in enumerate(wanted):
             position[survey.names[name]] = number
         if survey.fault is not None and survey.fault[1] in wanted:
-            row, name, time, before = survey.fault
-            times = f"{self._shown(time)} after {self._shown(before)}"
+            row, name, late, before = survey.fault
+            times = f"{self._shown(late)} after {self._shown(before)}"
             message = f"the time of '{name}' does not increase: {times}"
             hint = "correct or remove this reading or the one before it"
             raise InstrumentError(f"{self.name}, {self.table.place(row)}: {message}; {hint}")
@@ -273,9 +273,9 @@ class LongFile(FormatFile[Record]):
             message = f"'{name}' has two readings in the sample at {self._shown(at)}"
             hint = "remove one of them, or state a shorter time `within` under `readings`"
             raise InstrumentError(f"{self.name}: {message}; {hint}")
-        table = np.full((len(time) * len(names), len(self.readings.values)), np.nan)
-        table[cell] = batch.values
-        table = table.reshape(len(time), len(names), -1)
+        cells = np.full((len(time) * len(names), len(self.readings.values)), np.nan)
+        cells[cell] = batch.values
+        table = cells.reshape(len(time), len(names), -1)
         values = {
             self.readings.column(name, value): table[:, j, k]
             for j, name in enumerate(names)
