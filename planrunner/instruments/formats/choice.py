@@ -13,7 +13,7 @@ from planrunner.instruments.formats.binary import BinaryFile, BinaryKeys, check_
 from planrunner.instruments.formats.database import SqliteFile
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
 from planrunner.instruments.formats.json_samples import JsonFile
-from planrunner.instruments.formats.long import LongFile, Readings
+from planrunner.instruments.formats.long import LongFile, ReadingColumns
 from planrunner.instruments.formats.parquet import ParquetFile
 from planrunner.instruments.formats.text import TextFile
 from planrunner.instruments.formats.workbook import WorkbookFile
@@ -62,8 +62,8 @@ class Format(Record):
     type: str = key(
         Choice(tuple(FORMATS)), "The format; by default, the extension of the file name determines it.", "text"
     )
-    readings: Readings | None = optional(
-        RecordOf(Readings),
+    readings: ReadingColumns | None = optional(
+        RecordOf(ReadingColumns),
         "For a table in which each row is one reading of one channel or sensor: the columns of its name and of its values.",
         {"name": "channel", "values": "value"},
     )

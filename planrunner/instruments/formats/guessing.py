@@ -24,7 +24,7 @@ from planrunner.instruments.formats.choice import ENDINGS, FORMATS, Format, open
 from planrunner.instruments.formats.clock import DAY, NoTimesError
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
 from planrunner.instruments.formats.json_samples import JsonFile, JsonKeys
-from planrunner.instruments.formats.long import LongFile, Readings
+from planrunner.instruments.formats.long import LongFile, ReadingColumns
 from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextFile, TextKeys
 from planrunner.instruments.formats.workbook import WorkbookKeys, open_workbook, sheet_rows
 from planrunner.instruments.interfaces import InstrumentError
@@ -466,7 +466,7 @@ def of_sensors_alone(file: AnyFile, columns: Sequence[str]) -> AnyFile:
 class LikelyReadings:
     """The probable arrangement of a table in which each row is one reading, and the column of its time."""
 
-    readings: Readings
+    readings: ReadingColumns
     time: LikelyTime
 
 
@@ -496,11 +496,11 @@ def guessed_readings(file: AnyFile, numbers: Sequence[str]) -> LikelyReadings | 
         values = [one for one in numbers if one != time.column and not _TIME.search(one) and not _COUNT.search(one)]
         named = [one for one in values if _VALUE.search(one)] or [one for one in values if _AXIS.search(one)] or values
         if named:
-            return LikelyReadings(Readings(name=column, values=tuple(named)), replace(time, shared=False))
+            return LikelyReadings(ReadingColumns(name=column, values=tuple(named)), replace(time, shared=False))
     return None
 
 
-def with_readings(path: Path, given: Format | None, readings: Readings) -> Format:
+def with_readings(path: Path, given: Format | None, readings: ReadingColumns) -> Format:
     """Returns the format of a file that is a table of readings. `given`: the format; None if the extension determines it."""
     kind = ENDINGS[path.suffix.lower()] if given is None else given.type
     parameters = FORMATS[kind].Parameters() if given is None else given.parameters

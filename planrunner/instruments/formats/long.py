@@ -1,6 +1,6 @@
 """Reads long tables, in which each row is one reading: a time, the name of a channel or sensor, and its value or values.
 
-Readings with the same time become one row. Each channel then has a column with its name (`gyro_x`). If a reading has several values,
+ReadingColumns with the same time become one row. Each channel then has a column with its name (`gyro_x`). If a reading has several values,
 the name of the column of the value follows after a point (`gyroscope.x`).
 """
 
@@ -37,7 +37,7 @@ _COLUMN = r"[^\x00-\x1f]{1,200}"
 _SAME_TIME = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
 
 
-class Readings(Record):
+class ReadingColumns(Record):
     """Declares the bench-file keys of a table in which each row is one reading."""
 
     name: str = key(Text(_COLUMN, "a column's name"), "Column of the name of the channel or sensor.", "channel")
@@ -61,7 +61,7 @@ class Readings(Record):
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """Readings in the order of the file. `first`: number of the first row. `time`: shape (n,), s. `code`: shape (n,), index of the
+    """ReadingColumns in the order of the file. `first`: number of the first row. `time`: shape (n,), s. `code`: shape (n,), index of the
     name in the table; -1 if it is missing. `values`: shape (n, k)."""
 
     first: int
@@ -88,7 +88,7 @@ class LongFile(FormatFile[Record]):
     """A table of readings in a file of any format. A table that is sorted by time is read in batches; another table is read as a
     whole and sorted."""
 
-    def __init__(self, table: AnyFile, readings: Readings, stamps: TimeStamps, channels: Mapping[str, str]):
+    def __init__(self, table: AnyFile, readings: ReadingColumns, stamps: TimeStamps, channels: Mapping[str, str]):
         super().__init__(table.path, table.name, stamps, channels, table.parameters)
         self.table, self.readings = table, readings
         self._survey: _Survey | None = None

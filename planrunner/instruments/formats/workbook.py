@@ -9,7 +9,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO, Protocol
 from xml.etree.ElementTree import ParseError
 
 import numpy as np
@@ -57,6 +57,25 @@ _FAULTS = (
 Cells = tuple[object, ...]
 
 
+class Sheet(Protocol):
+    """A sheet as openpyxl reads it. `max_row`: number of rows that the sheet states, None if it states none."""
+
+    title: str
+
+    @property
+    def max_row(self) -> int | None: ...
+    def reset_dimensions(self) -> None: ...
+    def iter_rows(self, *, values_only: bool) -> Iterator[Cells]: ...
+
+
+class Book(Protocol):
+    """A workbook as openpyxl opens it."""
+
+    @property
+    def worksheets(self) -> Sequence[Sheet]: ...
+    def close(self) -> None: ...
+
+
 class WorkbookKeys(Record):
     """Declares the bench-file keys of an Excel workbook."""
 
@@ -100,7 +119,7 @@ class WorkbookFile(FormatFile[WorkbookKeys]):
 
     def rows_about(self) -> int:
         with open_workbook(self.path, self.name) as book:
-            return int(_sheet(book, self.parameters.sheet, self.name).max_row or 0)
+            return _sheet(book, self.parameters.sheet, self.name).max_row or 0
 
     def place(self, row: int) -> str:
         number = next((number for k, (number, _) in enumerate(self._samples(), start=1) if k == row), None)
@@ -169,7 +188,7 @@ def _number(cell: object) -> float | None:
 
 
 @contextlib.contextmanager
-def open_workbook(path: Path, name: str) -> Iterator[Any]:
+def open_workbook(path: Path, name: str) -> Iterator[Book]:
     """Opens a workbook for reading, after its parts have been checked against the limits of size. `name`: name of the file, used in
     messages. Raises `InstrumentError` if the file cannot be read, or if a package for reading is missing."""
     try:
@@ -183,7 +202,7 @@ def open_workbook(path: Path, name: str) -> Iterator[Any]:
             _check_parts(opened, name)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # about styles and extensions, which are not read
-                book = load_workbook(opened, read_only=True, data_only=True, keep_links=False)
+                book: Book = load_workbook(opened, read_only=True, data_only=True, keep_links=False)
         except _FAULTS as error:
             raise _unreadable(name, error) from None
         try:
@@ -209,7 +228,7 @@ def _unreadable(name: str, error: Exception) -> InstrumentError:
     )
 
 
-def _sheet(book: Any, wanted: str | None, name: str) -> Any:
+def _sheet(book: Book, wanted: str | None, name: str) -> Sheet:
     """Returns a sheet of a workbook. Raises `InstrumentError` if there is no such sheet, or if there are several and none is named."""
     sheets = {str(sheet.title): sheet for sheet in book.worksheets}
     if wanted is not None and wanted not in sheets:
@@ -221,7 +240,7 @@ def _sheet(book: Any, wanted: str | None, name: str) -> Any:
     return sheets[wanted] if wanted is not None else next(iter(sheets.values()))
 
 
-def sheet_rows(sheet: Any, name: str) -> Iterator[tuple[int, Cells]]:
+def sheet_rows(sheet: Sheet, name: str) -> Iterator[tuple[int, Cells]]:
     """Yields the rows of a sheet, each with its number, counted from 1. `name`: name of the file, used in messages. Raises
     `InstrumentError` if the sheet cannot be read."""
     sheet.reset_dimensions()  # some programs state them wrongly
