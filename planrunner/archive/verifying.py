@@ -114,8 +114,8 @@ class Examined:
     """The verified part of a run folder. `findings`: errors, warnings and notes.
 
     `seal_digest`: SHA-256 of seal.json. `sealed_before`: True if the contents show that the run was sealed at some earlier time.
-    `state`, `scan`: state and scan of the journal; None if the journal cannot be read. In that case nothing is verified. `unknown`:
-    entries of the folder that planrunner did not write.
+    `state`, `scan`: state and scan of the journal; None if the journal cannot be read. If they are None, nothing is verified.
+    `unknown`: entries of the folder that planrunner did not write.
     """
 
     folder: GuardedFolder

@@ -86,8 +86,8 @@ def _made(
 
 @contextmanager
 def _thawed(bases: list[Any]) -> Iterator[None]:
-    """Permits a subclass to be frozen. This is needed because the standard library accepts subclasses of a frozen dataclass only if
-    it has frozen both itself."""
+    """Permits a subclass to be frozen. The permission is needed because the standard library accepts subclasses of a frozen
+    dataclass only if it has frozen both itself."""
     frozen = [base.__dataclass_params__ for base in bases if base.__dataclass_params__.frozen]
     try:
         for params in frozen:

@@ -6,7 +6,7 @@ component, so no path leads out of the folder.
 
 On Linux and macOS, names are opened relative to the open folder, so the file that was checked is the file that is used. Windows
 cannot do this. There, the folder and the name are checked before and after a file is opened, and both checks must find the same
-file. This is the strictest method available, but it does not detect a change that is undone before the second check.
+file. These two checks are the strictest method available, but they do not detect a change that is undone before the second check.
 """
 
 from __future__ import annotations

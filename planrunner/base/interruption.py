@@ -92,8 +92,8 @@ class Interruption:
             self._within_hook = False
 
     def _interrupt(self, raised: int) -> None:
-        """Repeats the interruption until it has been raised in the main thread. This is so when the number of raised interruptions
-        exceeds `raised`."""
+        """Repeats the interruption until it has been raised in the main thread. The interruption has been raised when the number of
+        raised interruptions exceeds `raised`."""
         while True:
             time.sleep(AGAIN_AFTER)
             if self._raised > raised or not self._listening:
@@ -113,7 +113,7 @@ def leave_with(code: int) -> None:
 
 
 def be_deaf() -> None:
-    """Ignores the signals that end planrunner. This is used in a process that must continue in spite of these signals."""
+    """Ignores the signals that end planrunner. A process that must continue in spite of these signals uses this function."""
     for number in signals(ENDING):
         signal.signal(number, signal.SIG_IGN)
 

@@ -39,7 +39,8 @@ class _Selectable(Protocol):
 
 @cache
 def _installed() -> _Selectable:
-    """Returns the entry points of all installed distributions. This is slow because it reads files of every distribution."""
+    """Returns the entry points of all installed distributions. The function is slow because it reads files of every
+    distribution."""
     from importlib.metadata import entry_points
 
     return entry_points()

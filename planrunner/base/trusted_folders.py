@@ -95,8 +95,8 @@ def user_data() -> Path:
 
 
 def user_cache(variable: str, name: str) -> Path:
-    """Returns the folder for this user's cached data. This is the folder that the environment variable names. If the variable is
-    not set, it is the folder `name` below planrunner's folder in the system's folder for caches."""
+    """Returns the folder for this user's cached data. The cache folder is the folder that the environment variable names. If the
+    variable is not set, it is the folder `name` below planrunner's folder in the system's folder for caches."""
     stated = os.environ.get(variable)
     if stated:
         return Path(stated)

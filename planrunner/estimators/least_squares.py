@@ -113,8 +113,8 @@ def whitener(covariance: Array) -> Array:
 
 
 def _triangular_inverse(lower: Array) -> Array:
-    """Returns the inverses of lower triangular matrices (…, n, n), computed by recursive halving. This is much faster than a
-    general inverse."""
+    """Returns the inverses of lower triangular matrices (…, n, n), computed by recursive halving. The recursion is much faster than
+    a general inverse."""
     n = lower.shape[-1]
     if n <= _SMALL:
         return np.asarray(np.linalg.inv(lower))

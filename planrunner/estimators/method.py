@@ -137,8 +137,8 @@ class ForeseesResults(Protocol[F]):
 
 
 def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
-    """Checks the planned segments for an estimator and predicts the results of a run. Returns both as a `Design`. Raises
-    `EstimationError` if the segments are unsuitable."""
+    """Checks the planned segments for an estimator and predicts the results of a run. Returns the remarks and the predictions as a
+    `Design`. Raises `EstimationError` if the segments are unsuitable."""
     design = estimator.design(request) or Design(())
     if any(remark.error for remark in design.remarks):
         return design

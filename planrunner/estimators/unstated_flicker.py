@@ -6,8 +6,8 @@ averages over a long time. A significance test of the scatter of a few segments 
 reason, the module computes how large B may be. The posterior distribution of B follows from the residuals of a fit and the noise
 within the segments by restricted likelihood (Harville, J. Am. Stat. Assoc. 72, 1977). The variance of this noise is known with some
 degrees of freedom, and is integrated out. The prior distribution of B is half-Cauchy (Gelman, Bayesian Analysis 1, 2006). The scale
-of this distribution is the value of B for which flicker scatters the segments as much as their noise does. This is a weak prior:
-only the data can exclude large values of B.
+of this distribution is the value of B for which flicker scatters the segments as much as their noise does. The prior is weak: only
+the data can exclude large values of B.
 
 An estimator states how its results depend on the flicker (`UnstatedFlicker`), and which observations contain evidence of it
 (`FlickerEvidence`). The analysis gives the warning (`open_flicker`).

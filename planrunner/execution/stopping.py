@@ -2,7 +2,7 @@
 once.
 
 The signal handlers only record the request; the executor checks it between steps, and makes the bench safe before it ends. A third
-Ctrl-C raises KeyboardInterrupt, in case a driver does not return. In this case, too, the executor makes the bench safe.
+Ctrl-C raises KeyboardInterrupt, in case a driver does not return. After this exception, the executor also makes the bench safe.
 """
 
 from __future__ import annotations

@@ -151,7 +151,7 @@ class Monitor:
         return sorted(names, reverse=True)
 
     def _has_live(self, name: str) -> bool:
-        """Returns True if a folder seems to have a live state. This is a quick check; the file itself is opened later, with all
+        """Returns True if a folder seems to have a live state. The check is quick; the file itself is opened later, with all
         precautions."""
         return os.path.lexists(self.path / name / NAME)
 

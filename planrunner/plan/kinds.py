@@ -419,8 +419,8 @@ class Origin:
         return marks
 
     def parts(self, key: str) -> tuple[Mark, ...]:
-        """Returns the positions that determine the value of a key. This is the position of the value or, if the key is absent, the
-        positions of the unknown keys that may be misspellings of the key."""
+        """Returns the positions that determine the value of a key. The result is the position of the value or, if the key is
+        absent, the positions of the unknown keys that may be misspellings of the key."""
         return (self.keys[key],) if key in self.keys else self.meant.get(key, ())
 
     def at(self, key: str) -> Mark:

@@ -93,8 +93,8 @@ class QuantityError(ValueError):
 
 
 def takes_bare_number(dimension: str | None) -> bool:
-    """Returns True if a number without a unit can be a quantity of this dimension. This is so for a ratio, and for None, which
-    means any dimension."""
+    """Returns True if a number without a unit can be a quantity of this dimension. The result is True for a ratio, and for None,
+    which means any dimension."""
     return dimension in (None, "ratio")
 
 

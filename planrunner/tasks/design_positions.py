@@ -164,7 +164,7 @@ class _Designer:
 
     def _require_time(self) -> None:
         """Raises `EstimationError` if the parts of the plan that do not depend on the positions already take longer than the time
-        budget. This is checked before the search."""
+        budget. The time is checked before the search."""
         if self.asked.time is None:
             return
         recorded = [segment for place in self.places for segment in place.segments]

@@ -35,7 +35,7 @@ _KEY = re.compile("[0-9a-f]{64}")
 @dataclass(frozen=True, slots=True)
 class KeptDiagnoses:
     """Represents the folder of stored results. `folder`: path of the folder; None if there is no folder that only the user can
-    change. In that case, no results are stored."""
+    change. If `folder` is None, no results are stored."""
 
     folder: GuardedFolder | None
 

@@ -229,7 +229,7 @@ def resume(
 def _approved(sound: Sound, runs: Path) -> bytes | None:
     """Returns the approval data that the new run folder will contain; None if the bench requires no approvals.
 
-    Raises `InputError` if approvals are missing. This is checked for every run, even if its plan was checked before.
+    Raises `InputError` if approvals are missing. Approvals are checked for every run, even if its plan was checked before.
     """
     bench = sound.bench
     if bench.approvals is None:

@@ -111,8 +111,8 @@ class TablePositionError:
 
 
 class TableRateRipple:
-    """Multiplies the rate of the table by 1 + a·cos(nθ + φ), with n = 1 or 2. This is a ripple with n periods per turn, which the encoder
-    does not show."""
+    """Multiplies the rate of the table by 1 + a·cos(nθ + φ), with n = 1 or 2. The effect is a ripple with n periods per turn, which
+    the encoder does not show."""
 
     id, stage, shape_name, shape_unit = "table_rate_ripple", "stimulus", "n", "per turn"
     about = About(

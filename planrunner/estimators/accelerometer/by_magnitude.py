@@ -86,8 +86,8 @@ def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Desi
 def foresee(
     request: DesignRequest[AccelerometerMultiPositionParameters], general: Callable[[], Foresight]
 ) -> Foresight:
-    """Predicts the coefficients if all poses are planned. Otherwise returns only the names of the coefficients, because the poses
-    become known only from the recording."""
+    """Predicts the coefficients if all poses are planned. If the poses are not planned, returns only the names of the coefficients,
+    because the poses become known only from the recording."""
     if all(segment.attitude is not None for segment in request.segments):
         seen = general()
         if seen.known:

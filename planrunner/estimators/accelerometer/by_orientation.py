@@ -1,8 +1,8 @@
 """Calibrates an accelerometer triad with gravity in known attitudes, by a linear fit for each axis.
 
 The fit of F_i = b_i + Σ_j S_ij·f_j to the readings F_i gives three results for each axis i: the bias, the scale factor and the
-misalignments. The bias is b_i. The scale factor is the length |S_i| of the row S_i. This is the sensitivity along the actual input
-axis, and a constant attitude error does not change it. The misalignments are S_ij/|S_i|; to first order, they are the angles
+misalignments. The bias is b_i. The scale factor is the length |S_i| of the row S_i. This length is the sensitivity along the actual
+input axis. A constant attitude error does not change it. The misalignments are S_ij/|S_i|; to first order, they are the angles
 between the input axis and its planned direction.
 """
 

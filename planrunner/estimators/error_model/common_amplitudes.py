@@ -2,8 +2,8 @@
 
 The outputs are first fitted separately. The values z of all amplitudes have the joint covariance C. Least squares then adjusts z so
 that the values of each common amplitude agree. The adjusted values are z − C·Rᵀ(R·C·Rᵀ)⁻¹·R·z, where R·z = 0 states the agreement
-(H. Theil, Principles of Econometrics, 1971, 6.8). This is equivalent to a joint fit of all outputs. The adjustment also changes
-amplitudes that only one output has, if they are correlated with a common amplitude.
+(H. Theil, Principles of Econometrics, 1971, 6.8). The result is equivalent to a joint fit of all outputs. The adjustment also
+changes amplitudes that only one output has, if they are correlated with a common amplitude.
 """
 
 from __future__ import annotations

@@ -587,7 +587,7 @@ def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], col
     Errors of the recorded motion cause such scatter, because they differ from segment to segment and do not become smaller in a
     longer segment. The ratio is R = Σ c²/(1 − Σ e²), where c is the contribution of a segment to a contrast, and e is the part of
     the squared length of the contrast that belongs to the segment. R is unbiased if the contributions have the variance R·e and the
-    fit makes Σ c = 0. This is the sandwich estimator for clustered data (K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986).
+    fit makes Σ c = 0. R is the sandwich estimator for clustered data (K.-Y. Liang, S. L. Zeger, Biometrika 73, 1986).
     """
     from scipy.special import chdtrc
 

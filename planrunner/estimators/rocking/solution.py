@@ -187,8 +187,8 @@ def accelerometer_drift(reduced: ReducedRun, conditions: RockingConditions) -> A
 
 
 def drift_before_rocking(reduced: ReducedRun, conditions: RockingConditions) -> Array | None:
-    """Computes the drift [rad/s] about the two level axes before rocking begins, by steps 2 to 5. This is the drift from the first
-    window to the window that ends when the base begins to rock. Returns an array of shape (…, 2), or None if there is no such
+    """Computes the drift [rad/s] about the two level axes before rocking begins, by steps 2 to 5. The drift is computed from the
+    first window to the window that ends when the base begins to rock. Returns an array of shape (…, 2), or None if there is no such
     window."""
     return None if reduced.before is None else _drift_between(reduced, reduced.before, conditions)
 

@@ -149,9 +149,9 @@ class TemperatureModel(Method[TemperatureModelParameters, Curves]):
         return Design((), remarks=remarks(request))
 
     def foresee(self, request: DesignRequest[TemperatureModelParameters]) -> Foresight:
-        """Predicts the curves from expected values if the plan states their order. Otherwise it gives the coefficients of all
-        possible orders without uncertainties. Coefficients from ramps also have no uncertainties, because only a recording shows
-        the temperatures of a ramp."""
+        """Predicts the curves from expected values if the plan states their order. If the plan does not state the order, the
+        prediction contains the coefficients of all possible orders without uncertainties. Coefficients from ramps also have no
+        uncertainties, because only a recording shows the temperatures of a ramp."""
         parameters = request.parameters
         ramps = parameters.temperature_channel is not None
         if parameters.order is not None and not ramps:

@@ -8,10 +8,11 @@ remainder; for it, the named effects are fitted to all segments.
 If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. Sometimes no explanation
 leaves only noise. The differences between log evidences are then too large by this ratio. The reason is that the evidence treats
 the samples as independent, but the errors of an explanation are the same in all samples. In this case, the noise variance is
-multiplied by the dispersion before the evidence is computed. This is the dispersion of quasi-likelihood (McCullagh and Nelder,
-Generalized Linear Models, 1989, section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932). This
-correction corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical Association
-114, 2019). If chance can explain the ratio, the dispersion is 1. Therefore, without a misfit, the evidence does not change.
+multiplied by the dispersion before the evidence is computed. This factor is the dispersion of quasi-likelihood (McCullagh and
+Nelder, Generalized Linear Models, 1989, section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932).
+This correction corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical
+Association 114, 2019). If chance can explain the ratio, the dispersion is 1. Therefore, without a misfit, the evidence does not
+change.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
 Every explanation is a linear model that predicts further recordings. The model consists of the nominal parameters and of effects
 with normally distributed amplitudes. The posterior from the recording is the prior for the next measurements. Therefore, if
 explanation A is true, the expected log evidence of A against explanation B is the Kullback-Leibler divergence between their
-predictions. This is the criterion of Box and Hill (Technometrics 9, 1967): T-optimality (Atkinson and Fedorov, Biometrika 62,
-1975), averaged over the uncertainty of the amplitudes. Only the information matrix of the new measurements is needed, so the
-computing time does not depend on the number of samples.
+predictions. This divergence is the criterion of Box and Hill (Technometrics 9, 1967): T-optimality (Atkinson and Fedorov,
+Biometrika 62, 1975), averaged over the uncertainty of the amplitudes. Only the information matrix of the new measurements is
+needed, so the computing time does not depend on the number of samples.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Computes Bayes factors: the evidence for an effect with unknown amplitudes, relative to no effect.
 
-The strength of an effect is its energy λ. This is the energy of the effect's signature in units of the noise, without the part that
+The strength of an effect is its energy λ. λ is the energy of the effect's signature in units of the noise, without the part that
 the nominal parameters absorb. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`.
 Weaker effects count as absent, because they cannot be distinguished from no effect. Amplitudes θ ~ N(0, s²·D) with a log-uniform s²
 have the same directions, but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed in three steps. First,

@@ -4,9 +4,9 @@ declarations).
 
 The estimate in run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, where e_r ~ N(0, s_r²) is known from the
 fit of the run. The parts of one kind of source, such as those of all devices, are independent draws from N(0, σ²); each kind has
-its own σ. This is a random-effects model (Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9). The common
-part c has a σ as well. The common part has no flat prior, because zero is a special value: with zero, the run agrees with the
-simulation.
+its own σ. The model is a random-effects model (Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9). The
+common part c has a σ as well. The common part has no flat prior, because zero is a special value: with zero, the run agrees with
+the simulation.
 
 The hypotheses are all subsets of the sources, including the empty set. For given σ, the evidence is Gaussian:
 

@@ -9,10 +9,10 @@ For a step of a device, of a bench or of all runs, h is 1 in the runs of this so
 For a drift, h is the number of days since the first run of its source. The parts are fitted without priors (analysis of
 covariance), so a constant difference between devices or between benches does not count as a change. The change with the smallest
 p-value is added to the model if its p-value, multiplied by the number of changes that were tried (Bonferroni), is at most `LEVEL`.
-This is repeated until no change qualifies. This is a forward selection (for the place of a step, see Hawkins, Journal of the
-American Statistical Association 72, 1977). The p-value of a change comes from Student's t test of its size x_j. c² is the χ²/ν of
-the fit with the change, but at least 1. If the runs scatter more than their uncertainties s_r allow, changes therefore become less
-significant. A drift is preferred to a step only if it has the smaller p-value.
+These steps are repeated until no change qualifies. The method is a forward selection (for the place of a step, see Hawkins, Journal
+of the American Statistical Association 72, 1977). The p-value of a change comes from Student's t test of its size x_j. c² is the
+χ²/ν of the fit with the change, but at least 1. If the runs scatter more than their uncertainties s_r allow, changes therefore
+become less significant. A drift is preferred to a step only if it has the smaller p-value.
 """
 
 from __future__ import annotations

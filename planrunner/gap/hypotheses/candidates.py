@@ -132,7 +132,7 @@ class Weighed:
 @dataclass(frozen=True)
 class Candidate:
     """Contains an effect and its evaluated variants. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape of
-    the effect. `at`: index of the setting of the noise at which the forms are compared. This is the most probable setting without a
+    the effect. `at`: index of the setting of the noise at which the forms are compared. `at` is the most probable setting without a
     random walk of the gyros, because a random walk would explain much of the residuals of a wrong form. `settled`: True if the
     nominal parameters were fitted together with the effect before its forms were computed."""
 

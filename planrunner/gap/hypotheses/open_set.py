@@ -128,8 +128,8 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Arr
     cause outside the catalogue often appears in more than one sort.
 
     Only the nominal parameters connect coefficients of different sorts. Through these parameters, a strong sort influences all
-    other sorts. Therefore, the strongest sort is evaluated first, and its coefficients are then removed. This is repeated until the
-    remaining sorts are weak.
+    other sorts. Therefore, the strongest sort is evaluated first, and its coefficients are then removed. These steps are repeated
+    until the remaining sorts are weak.
     """
     left, total = _by_sort(found), 0.0
     while True:
@@ -343,8 +343,8 @@ def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: fl
     """Fits a sine to the samples of a scan, with Gauss–Newton steps in the frequency, and subtracts the part of the sine that lies
     outside the basis. `frequency`: approximate frequency of the sine, Hz. Returns the remaining samples (n,) and the fitted
     frequency. `spacing`: distance between the frequencies of the periodogram, Hz. The search starts at the frequency with the
-    highest power among closely spaced frequencies around `frequency`. This is necessary because gaps between segments make
-    neighbouring values of the periodogram almost as high as the highest one."""
+    highest power among closely spaced frequencies around `frequency`. The closely spaced frequencies are necessary because gaps
+    between segments make neighbouring values of the periodogram almost as high as the highest one."""
     observed, spectrum = weighing.observed, weighing.spectrum
     time = observed.time - observed.time.mean()
     root = np.sqrt(scan.weight)

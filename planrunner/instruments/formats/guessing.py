@@ -692,8 +692,8 @@ def _time_of(
     """Describes the time in a column; None if no unit of time leads to a usual sample rate.
 
     `step`: median step of the column. `values`: first values of the column. If a unit leads to a stated rate, or to a date in this
-    century, the unit is sure. A column of whole numbers may also be a counter of unknown frequency. This is assumed if the file
-    states the rate of its samples, and if each unit of time leads to a very different rate."""
+    century, the unit is sure. A column of whole numbers may also be a counter of unknown frequency. The function assumes such a
+    counter if the file states the rate of its samples, and if each unit of time leads to a very different rate."""
     whole, level = bool(np.all(values == np.round(values))), float(np.median(values))
     rates = {unit: 1 / (step * scale) for unit, scale in _SCALES.items()}
     usual = {unit: rate for unit, rate in rates.items() if _USUAL_RATES[0] < rate < _USUAL_RATES[1]}

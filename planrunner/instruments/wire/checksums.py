@@ -54,7 +54,7 @@ class Checksum:
     def by_position(self, length: int, padding: int = 0) -> tuple[NDArray[np.uint32], int]:
         """Returns a table and a constant for the CRC of exactly `length` bytes followed by `padding` zero bytes. The table has the
         shape (length, 256). The CRC is the exclusive-or of the constant and one entry of the table for each byte. The entry for
-        byte k is in row k, and its index is the value of the byte. This is possible because the division of polynomials is
+        byte k is in row k, and its index is the value of the byte. Such tables are possible because the division of polynomials is
         linear."""
         rows = np.zeros((length, 256), np.uint32)
         lowest, initial = self.tables[0], np.array([(self.initial << (32 - self.width)) & _ALL], np.uint32)

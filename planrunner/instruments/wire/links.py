@@ -307,8 +307,8 @@ class MessageLink:
             raise LinkFailure(f"sends data without a request ({shown(rests[:40])}…): {_GARBAGE}")
 
     def _await_silence(self, resource: Wire) -> None:
-        """Waits until a serial line is silent for the length of a time-out. This is necessary after a failure, because late data
-        may still arrive."""
+        """Waits until a serial line is silent for the length of a time-out. The wait is necessary after a failure, because late
+        data may still arrive."""
         if not self.settings.address.startswith("ASRL"):
             return
         end = time.monotonic() + 3 * self.settings.timeout

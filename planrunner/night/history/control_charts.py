@@ -116,8 +116,8 @@ def ewma(
     …), the values in the order of time. `sigma`: array of shape (n,), or of the shape of `values`.
 
     The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default, V_0 = 0, so that the first limits are narrower. `steady`:
-    True if the recursion starts from V_0 = λ/(2 − λ) σ² instead, as in the handbook. This is the final value of the variance for
-    the first σ.
+    True if the recursion starts from V_0 = λ/(2 − λ) σ² instead, as in the handbook. V_0 is then the final value of the variance
+    for the first σ.
     """
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     average, half = np.empty_like(values), np.empty_like(values)

@@ -110,8 +110,8 @@ def gauge_study(factors: Mapping[str, Sequence[str]], values: Sequence[float], *
 
     `factors`: maps each factor to the labels of the n values; a factor with only one level is left out. The factor `ITEM`
     distinguishes the measured items. If a cell has more values than others, only its first values are used. `pooled`: True if
-    interactions are counted as repeatability. This is usual if they are not significant. Raises `UnbalancedError` if a cell has no
-    value.
+    interactions are counted as repeatability. This setting is usual if the interactions are not significant. Raises
+    `UnbalancedError` if a cell has no value.
     """
     used = {name: list(labels) for name, labels in factors.items() if len(set(labels)) > 1}
     levels = {name: sorted(set(labels)) for name, labels in used.items()}
