@@ -1,13 +1,15 @@
 """Computes the posterior over {none, each effect, sets of effects, unknown, sets with something else}, with fixed and published
 priors.
 
-The evidence directly determines three probabilities: effects of the catalogue are the whole cause, they act together with something
-else, or none of them acts. The probability of effects is then divided among the sets of effects. For this division, the evidence is
-computed with the noise enlarged by the dispersion of the residuals (`gap.answer.remainder`). If even the best set leaves more than
-noise, the evidence that distinguishes the sets becomes weaker by the dispersion.
+The evidence directly determines the probabilities of three cases: effects of the catalogue are the whole cause, effects of the
+catalogue act together with something else, or no effect of the catalogue acts. The probability of effects is then divided among the
+sets of effects. For this division, the evidence is computed with larger noise: its variance is multiplied by the dispersion of the
+residuals (`gap.answer.remainder`). Thus, if even the best set does not explain the residuals, the evidence that distinguishes the
+sets becomes weaker.
 
-A level of noise is never a rival of a cause. Hypotheses that differ only in an effect on the level of the noise count as the same
-cause, and their probabilities are added. The probability of each effect on the noise level is stated separately.
+A hypothesis about the level of the noise does not compete with a cause. Hypotheses that differ only in an effect on the level of
+the noise count as the same cause, and their probabilities are added. The probability of each effect on the noise level is stated
+separately.
 """
 
 from __future__ import annotations
@@ -32,12 +34,14 @@ from planrunner.gap.hypotheses.patterns import Pattern
 
 BESIDE = 0.001  # probability of a tone or bursts beside an effect, from an independent cause
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown": 0.15}
-"""several: three and more effects of the catalogue, or effects and something else, half each; halved again for every further effect."""
+"""Prior probabilities. `several` is divided equally between two cases: three and more effects of the catalogue, and effects
+together with something else. Every further effect halves the probability."""
 NAMEABLE = 0.05  # the probability of none above which no effect is named
 LIKELY = 1e-3  # smallest probability of a set beside which something else may act
 IMPERFECT = 0.05
-"""Part of the log evidence of something else that an effect must reach to act in addition. No pattern describes an unknown cause
-exactly; effects of the catalogue can imitate the small part that it leaves."""
+"""Smallest ratio of the log evidence of an effect to the log evidence of something else, for an effect that acts in addition to
+something else. No pattern describes an unknown cause exactly. Effects of the catalogue can imitate the small part that the pattern
+does not describe."""
 WORTH = 3.0  # log BF of something else from which it may be the cause of what some of the effects follow
 UNKNOWN = "unknown"
 _Key = TypeVar("_Key", str, tuple[str, ...])
@@ -45,16 +49,15 @@ _Key = TypeVar("_Key", str, tuple[str, ...])
 
 @dataclass(frozen=True)
 class Posterior:
-    """The posterior probabilities of the hypotheses.
-
-    `probability`: probability of every cause. A set of effects has a name such as 'a+b', in alphabetical order, or 'a+b+unknown' if
-    something else acts in addition. An effect on the level of the noise is a cause only if nothing else acts. `noise`: probability
-    of each effect on the level of the noise, summed over all causes. `log_evidence`: log evidence of each hypothesis relative to
-    "none"; for effects, this log evidence is computed from the coefficients alone. `pairs`: evaluated columns of each set of two or
-    more deterministic effects. `sets`: the sets in `pairs`, each with its effects. `kinds`: log evidence, relative to "none", of
-    each pattern that "unknown" can stand for. `by_channel`: array (K,) for each pattern, its log Bayes factor in each channel
-    alone. `levels`: names of the effects that only change the noise level. `lines`: tones in the recording. `beside`: probability
-    that a tone or bursts are present in addition to an effect.
+    """Contains the posterior probabilities of the hypotheses. `probability`: probability of every cause. A set of effects has a
+    name such as 'a+b', in alphabetical order, or 'a+b+unknown' if something else acts in addition. An effect on the level of the
+    noise is a cause only if nothing else acts. `noise`: probability of each effect on the level of the noise, summed over all
+    causes. `log_evidence`: log evidence of each hypothesis relative to "none"; for effects, this log evidence is computed from the
+    coefficients alone. `pairs`: evaluated columns of each set of two or more deterministic effects. `sets`: the sets in `pairs`,
+    each with its effects. `kinds`: log evidence, relative to "none", of each pattern that belongs to "unknown". `by_channel`: for
+    each pattern, an array of shape (K,), its log Bayes factor in each channel alone. `levels`: names of the effects that only
+    change the noise level. `lines`: tones in the recording. `beside`: probability that a tone or bursts are present in addition to
+    an effect.
     """
 
     probability: dict[str, float]
@@ -85,12 +88,10 @@ def without_unknown(name: str) -> str:
 
 @dataclass(frozen=True)
 class _NoiseOnly:
-    """Effects on the noise.
-
-    `walk`: name of the random walk of the gyros, or ''. `others`: maps each state of the noise of a triad (gyro or accel) to the
-    effect that causes it. `levels`: log density of the measured white noise for each combination of states. `apart`: log Bayes
-    factor of the effects that the recording shows outside the coefficients, such as a line; each of these effects is present or
-    absent independently of the others.
+    """Contains the effects on the noise. `walk`: name of the random walk of the gyros, or ''. `others`: maps each state of the
+    noise of a triad (gyro or accel) to the effect that causes it. `levels`: log density of the measured white noise for each
+    combination of states. `apart`: log Bayes factors of the effects that the recording shows outside the coefficients, such as a
+    line. Each of these effects is present or absent independently of the others.
     """
 
     walk: str
@@ -100,13 +101,14 @@ class _NoiseOnly:
 
     @property
     def declared(self) -> float:
-        """Log density of the measured white noise if the declared noise is right."""
+        """Returns the log density of the measured white noise if the declared noise is right."""
         return self.levels["declared", "declared"]
 
     @property
     def states(self) -> dict[tuple[str, ...], float]:
-        """Maps each possible combination of effects on the noise to the log density of the measured white noise. A combination has
-        at most one effect on the white noise of each triad, and any of the effects in `apart`, whose log Bayes factor is added."""
+        """Maps each possible combination of effects on the noise to the log density of the measured white noise. A combination
+        contains at most one effect on the white noise of each triad. It can also contain any effects in `apart`; the log Bayes
+        factors of these effects are added."""
         found: dict[tuple[str, ...], float] = {}
         for (gyro, accel), value in self.levels.items():
             acting = [(kind, level) for kind, level in (("gyro", gyro), ("accel", accel)) if level != "declared"]
@@ -188,8 +190,8 @@ def posterior(
 
 
 def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str, float]:
-    """Probabilities of the causes. Hypotheses that differ only in effects on the level of the noise are added up. `levels`: names
-    of the effects on the level of the noise."""
+    """Returns the probabilities of the causes. The probabilities of hypotheses that differ only in effects on the level of the
+    noise are added. `levels`: names of the effects on the level of the noise."""
     found: dict[str, float] = {}
     for name, share in shares.items():
         key = key_of(part for part in name.split("+") if part not in levels) or name
@@ -200,9 +202,9 @@ def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str
 def _of_noise(
     shares: Mapping[str, float], levels: Set[str], noise: _NoiseOnly, found: Mapping[str, float], count: int
 ) -> dict[str, float]:
-    """Probability of each effect on the level of the noise. The probability of a hypothesis with something else covers all states
-    of the noise, so it is divided among them. `levels`: names of the effects on the level of the noise. `found`: the hypotheses
-    that `posterior` evaluated directly; for the size of these hypotheses, "unknown" counts as an effect."""
+    """Returns the probability of each effect on the level of the noise. The probability of a hypothesis with something else covers
+    all states of the noise, so it is divided among these states. `levels`: names of the effects on the level of the noise. `found`:
+    the hypotheses that `posterior` evaluated directly; for the size of these hypotheses, "unknown" counts as an effect."""
     total = dict.fromkeys(sorted(levels), 0.0)
     for name, share in shares.items():
         parts = name.split("+")
@@ -216,13 +218,13 @@ def _of_noise(
 
 
 def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
-    """Returns the amount that is added to the log weight of a cause of `size` effects to allow for noise that differs from the
+    """Returns an addition to the log weight of a cause of `size` effects. The addition allows for noise that differs from the
     declared noise."""
     return float(np.logaddexp.reduce(list(_states_beside(noise, size, count).values())))
 
 
 def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, ...], float]:
-    """Log weight of each state of the noise together with a cause of `size` effects, relative to the declared noise."""
+    """Returns the log weight of each state of the noise together with a cause of `size` effects, relative to the declared noise."""
     return {
         other: density - noise.declared + _log_prior_of(size + len(other), count) - _log_prior_of(size, count)
         for other, density in noise.states.items()
@@ -233,8 +235,8 @@ def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, 
 def _of_effects(
     weighing: Weighing, candidates: Sequence[Candidate], noise: _NoiseOnly, refit: bool = True
 ) -> tuple[dict[str, float], dict[str, EffectSet]]:
-    """Returns the log evidence, relative to "none", of the hypothesis "none", of single effects and of sets of effects; and the
-    sets that were evaluated in full."""
+    """Returns two results: the log evidence of the hypotheses relative to "none", for "none", for single effects and for sets of
+    effects; and the sets that were evaluated in full."""
     nothing = np.zeros(len(weighing.base))
     start = weighing.evidence(nothing) + noise.declared
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
@@ -290,9 +292,10 @@ def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candid
 def _with_something_else(
     weighing: Weighing, chain: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
 ) -> dict[str, float]:
-    """Log weights of hypotheses in which something else acts in addition to a set of effects. If something else may act in addition
-    to all effects of a chain, it is also evaluated in addition to fewer of them, because some of the effects may only imitate it.
-    Sets whose amplitudes are physically impossible are left out, and sets that are small beside something else (`IMPERFECT`)."""
+    """Returns the log weights of hypotheses in which something else acts in addition to a set of effects. If something else may act
+    in addition to all effects of a chain, it is also evaluated in addition to smaller sets of the chain. The reason is that some of
+    the effects may only imitate something else. Two kinds of sets are omitted: sets with physically impossible amplitudes, and sets
+    whose evidence is small compared with something else (`IMPERFECT`)."""
     made: dict[str, float] = {}
     for key, weighed in reversed(chain):
         if weighed.excluded or found[key] < IMPERFECT * found[UNKNOWN]:
@@ -333,19 +336,20 @@ def _as_named(
 
 
 def _shared(logs: Mapping[str, float]) -> dict[str, float]:
-    """Normalised probabilities of the sets of effects, without "none", "unknown" and other hypotheses that have a fixed prior."""
+    """Returns the normalised probabilities of the sets of effects, without "none", "unknown" and other hypotheses that have a fixed
+    prior."""
     return _shares({name: value for name, value in logs.items() if name not in PRIORS})
 
 
 def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
-    """Weights with the sum 1, computed from their logarithms."""
+    """Returns weights with the sum 1, computed from their logarithms."""
     total = np.logaddexp.reduce(list(logs.values()))
     return {name: float(np.exp(value - total)) for name, value in logs.items()}
 
 
 def _beside(kinds: Kinds) -> float:
-    """Log Bayes factor that is added to every hypothesis with an effect, because a tone or bursts with an independent cause may be
-    present in addition."""
+    """Returns the log Bayes factor that is added to every hypothesis with an effect. The reason for this addition is that a tone or
+    bursts with an independent cause may also be present."""
     return float(np.logaddexp(np.log1p(-BESIDE), np.log(BESIDE) + kinds.outside))
 
 
@@ -364,7 +368,7 @@ def log_prior(name: str, acting: int) -> float:
 
 
 def _log_prior_of(size: int, acting: int, besides: bool = False) -> float:
-    """Log prior of one set of `size` effects. `besides`: True if something else acts in addition."""
+    """Returns the log prior of one set of `size` effects. `besides`: True if something else acts in addition."""
     share = PRIORS["several"] / 2 ** (size + 1 if besides else size - 1)
     if not besides and size < 3:
         share = PRIORS["single" if size == 1 else "pair"]

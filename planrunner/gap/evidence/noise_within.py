@@ -1,13 +1,13 @@
 """Measures the noise that a recording shows within segments: its spectrum, and its level in every segment.
 
 The spectrum and the level are measured outside the coefficients, where no effect of the catalogue acts. Therefore noise cannot
-absorb an effect, and an effect cannot appear as noise. At the lowest frequencies, the coefficients leave little to measure. If the
-noise is coloured, its spectrum at these frequencies is also derived from the cosine coefficients, by the median of their squares.
-An effect in fewer than half of the segments hardly changes this median. The noise can be coloured because outputs are rounded,
-filtered or differenced, or because of lines of interference; vibration makes the noise differ between segments. The noise counts as
-white, and as equal in all segments, unless Schwarz's criterion (BIC; Annals of Statistics 6, 1978) prefers the richer description.
-A spectrum that is measured only at rest, or only in motion, is used for all segments if it describes the other segments better than
-white noise does.
+absorb an effect, and an effect cannot appear as noise. At the lowest frequencies, nearly all of the data belong to the
+coefficients, so little can be measured. If the noise is coloured, its spectrum at these frequencies is therefore also derived from
+the cosine coefficients, by the median of their squares. An effect in fewer than half of the segments hardly changes this median.
+There are several reasons for coloured noise: outputs are rounded, filtered or differenced, or they contain lines of interference.
+Vibration can make the noise differ between segments. By default, the noise counts as white, and as equal in all segments. A
+description with more parameters is used only if Schwarz's criterion (BIC; Annals of Statistics 6, 1978) prefers it. A spectrum that
+is measured only at rest, or only in motion, is used for all segments if it describes the other segments better than white noise.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ class NoiseWithin:
     """Contains the variance of the noise of each channel, relative to its white level.
 
     `frequency`: array of shape (B,) in Hz, centres of the bands. `weight`: array of shape (B,), number of coefficients in each
-    band. `spectrum`: array of shape (2, B, K), spectra of the segments at rest and of those in motion, as the cosine transform of a
-    segment shows them. `density`: array of shape (2, B, K), the spectra at rest and in motion without the leakage of the transform.
-    `level`: array of shape (S, K), level of each segment. `own`: array of shape (S, B, K), variance in each band of a segment,
-    divided by the product of `spectrum` and `level`. `moving`: array of shape (S,), index of the spectrum that applies to each
-    segment: 0 at rest, 1 in motion. `coloured`: array of shape (2, K), True if a spectrum is not white. `differing`: array of shape
-    (K,), True if the level differs between segments. `peaks`: array of shape (M, K), the least variance of each harmonic
+    band. `spectrum`: array of shape (2, B, K), spectra of the segments at rest and of the segments in motion, as the cosine
+    transform of a segment shows them. `density`: array of shape (2, B, K), the spectra at rest and in motion without the leakage of
+    the transform. `level`: array of shape (S, K), level of each segment. `own`: array of shape (S, B, K), variance in each band of
+    a segment, divided by the product of `spectrum` and `level`. `moving`: array of shape (S,), index of the spectrum that applies
+    to each segment: 0 at rest, 1 in motion. `coloured`: array of shape (2, K), True if a spectrum is not white. `differing`: array
+    of shape (K,), True if the level differs between segments. `peaks`: array of shape (M, K), the least variance of each harmonic
     of the motion, relative to the level of its segment; zero for other coefficients.
     """
 
@@ -82,14 +82,14 @@ class NoiseWithin:
         )
 
     def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> list[Blocks]:
-        """Covariances of the coefficients within each segment, by channel.
+        """Returns the covariances of the coefficients within each segment, by channel.
 
-        The covariance of two coefficients with the vectors u and v of the basis is ∫ S(f)·U*(f)·V(f) df for stationary noise. It is
-        not zero if the noise is strong at high frequencies: at both ends of a segment, the vectors of all even orders, and of all odd
-        orders, are alike. The variance of a coefficient of the cosine transform, or of a harmonic, is at least the spectrum of the
-        cosine transform at its frequency. A harmonic that begins or ends within a period picks up more noise of high frequencies
-        than a vector of the cosine transform does. Means count as independent of the other coefficients, because slow noise
-        determines them.
+        The covariance of two coefficients with the vectors u and v of the basis is ∫ S(f)·U*(f)·V(f) df for stationary noise. If
+        the noise is strong at high frequencies, this covariance is not zero. The reason is that all vectors of even order are alike
+        at the ends of a segment, and so are all vectors of odd order. The variance of a coefficient of the cosine transform, or of
+        a harmonic, is at least the spectrum of the cosine transform at its frequency. A harmonic that begins or ends within a
+        period contains more noise of high frequencies than a vector of the cosine transform. Means count as independent of the
+        other coefficients, because slow noise determines them.
         """
         size = [len(basis.frequency) for basis in spectrum.bases]
         found = [Blocks.diagonal(size, self.level[:, channel]) for channel in range(self.level.shape[1])]
@@ -109,11 +109,12 @@ class NoiseWithin:
         return found
 
     def _covariance(self, segment: int, basis: SpectralBasis, half: float, peaks: Array) -> Array:
-        """Covariance (K, m, m) of the coefficients of a segment, relative to its level. `half`: half of the sampling rate, Hz.
-        `peaks`: array of shape (m, K), the rows of the attribute `peaks` for this segment.
+        """Returns the covariance of the coefficients of a segment, relative to the level of the segment, shape (K, m, m). `half`:
+        half of the sampling rate, Hz. `peaks`: array of shape (m, K), the rows of the attribute `peaks` for this segment.
 
-        The harmonics of the motion take up all coefficients near their frequencies, so that a segment in motion does not show a line
-        of the noise there. The spectrum at rest shows such a line. Where it is larger, the difference is added to the variance.
+        The harmonics of the motion absorb all coefficients near their frequencies. Therefore, a segment in motion does not show a
+        line of the noise at these frequencies. The spectrum at rest shows such a line. If the spectrum at rest is larger, the
+        difference is added to the variance.
         """
         from scipy.fft import rfft
 
@@ -146,8 +147,8 @@ class NoiseWithin:
         return np.exp([np.interp(place, np.log(self.frequency), one) for one in np.log(self.spectrum[kind]).T])
 
     def _relative(self, segment: int, frequency: Array) -> Array:
-        """Returns the spectrum (n, K) of a segment, without its level, at frequencies (n,), Hz. It is constant beyond the outermost
-        bands."""
+        """Returns the spectrum of a segment, without its level, at frequencies (n,) [Hz], shape (n, K). The spectrum is constant
+        beyond the outermost bands."""
         return self._of_kind(self.spectrum, int(self.moving[segment]), segment, frequency)
 
     def _of_kind(self, spectra: Array, kind: int, segment: int, frequency: Array) -> Array:
@@ -223,14 +224,14 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
 
 
 def _peaks(noise: NoiseWithin, observed: Observed, spectrum: Spectrum, white: Array) -> Array:
-    """Least variance (M, K) of the harmonics of the motion, relative to the level of the segment; zero for other coefficients.
-
-    The least variance is the spectrum of all segments, at rest and in motion: the few neighbours of a harmonic in its own segment
-    may be small by chance. In addition, a resonance or a line of the noise can be much narrower than a band. The cosine transform
-    of the remainder shows it with the resolution of a segment's length. At rest, the variance of a harmonic that is observed for
-    the time T is the mean of the squares of these coefficients with the weight sinc²(T·(f − f₀)). In motion, the harmonic itself is
-    missing in the remainder; its neighbours up to the distance 2/T take its place. A peak counts if Schwarz's criterion prefers it
-    to the spectrum of the bands: among these coefficients if the noise is known to be coloured, otherwise among all coefficients.
+    """Returns the least variance of the harmonics of the motion, relative to the level of the segment, shape (M, K); zero for other
+    coefficients. The least variance is the spectrum of all segments, at rest and in motion. A segment alone is not used, because
+    the few neighbours of a harmonic in its own segment may be small by chance. In addition, a resonance or a line of the noise can
+    be much narrower than a band. The cosine transform of the remainder shows such a peak with the resolution of a segment's length.
+    At rest, the variance of a harmonic that is observed for the time T is the mean of the squares of these coefficients with the
+    weight sinc²(T·(f − f₀)). In motion, the remainder does not contain the harmonic itself. Its neighbours up to the distance 2/T
+    are used instead. A peak counts if Schwarz's criterion prefers it to the spectrum of the bands. The criterion counts these
+    coefficients if the noise is known to be coloured, and otherwise all coefficients.
     """
     from scipy.fft import dct
 
@@ -272,8 +273,8 @@ def _peaks(noise: NoiseWithin, observed: Observed, spectrum: Spectrum, white: Ar
 
 
 def _leakage(turns: Array, count: float) -> Array:
-    """Matrix (B, B): the part of the density of each band (second index) that the cosine transform of `count` samples shows in
-    another band (first index). `turns`: array of shape (3, B), edges and centres of the bands, rad per sample.
+    """Returns a matrix (B, B). It contains the part of the density of each band (second index) that the cosine transform of `count`
+    samples shows in another band (first index). `turns`: array of shape (3, B), edges and centres of the bands, rad per sample.
 
     A vector of the transform with the frequency θ contains other frequencies ω with the density
     sin²(ω/2)·cos²(θ/2)/(n·(sin²(ω/2) − sin²(θ/2))²), averaged over the phase of the ends of the segment.
@@ -288,8 +289,8 @@ def _leakage(turns: Array, count: float) -> Array:
 
 
 def _without_leakage(seen: Array, leakage: Array) -> Array:
-    """Returns the densities (B,) whose cosine transform has the variances `seen` (B,), by iterations of expectation maximisation
-    (Richardson, J. Opt. Soc. Am. 62, 1972)."""
+    """Computes the densities (B,) for which the cosine transform has the variances `seen` (B,), by iterations of expectation
+    maximisation (Richardson, J. Opt. Soc. Am. 62, 1972)."""
     found = seen.copy()
     for _ in range(_LEAKAGE_ROUNDS):
         found = np.maximum(found * seen / (found + leakage @ found), _KEPT * seen)
@@ -297,7 +298,7 @@ def _without_leakage(seen: Array, leakage: Array) -> Array:
 
 
 def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) -> Array:
-    """Levels (B,) of the bands, scaled so that the mean over the `upper` bands is 1."""
+    """Returns the levels (B,) of the bands, scaled so that the mean over the `upper` bands is 1."""
     found = _carried(energy, count, float(energy.sum() / max(count.sum(), 1e-9)), CARRIED)
     if count[upper].sum() > 0:
         found /= float((found * count)[upper].sum() / count[upper].sum())
@@ -305,16 +306,16 @@ def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) ->
 
 
 def _of_median(squares: Array, band: NDArray[np.int64], bands: int) -> tuple[Array, Array]:
-    """Energies (B,) and degrees of freedom (B,) of the bands, estimated from the medians of squares (n,) of normal values. `band`:
-    array of shape (n,), band of each square."""
+    """Estimates the energies (B,) and the degrees of freedom (B,) of the bands from the medians of squares (n,) of normal values.
+    `band`: array of shape (n,), band of each square."""
     size: Array = np.bincount(band, minlength=bands).astype(np.float64) * _OF_MEDIAN
     level = np.array([np.median(squares[band == b]) if size[b] > 0 else 0.0 for b in range(bands)]) / _MEDIAN
     return level * size, size
 
 
 def _typical(observed: Observed, spectrum: Spectrum) -> Array:
-    """Variance (S, K) of the remainder of each segment: the median over windows. It is corrected for the degrees of freedom of the
-    coefficients and for the bias of the median of χ² (Wilson and Hilferty, Proc. Nat. Acad. Sci. 17, 1931)."""
+    """Returns the variance of the remainder of each segment, shape (S, K). It is the median over windows, corrected for the degrees
+    of freedom of the coefficients and for the bias of the median of χ² (Wilson and Hilferty, Proc. Nat. Acad. Sci. 17, 1931)."""
     found = np.zeros((len(observed), spectrum.remainder.shape[1]))
     for index, (part, basis) in enumerate(zip(observed.segments(), spectrum.bases, strict=True)):
         squares = spectrum.remainder[part] ** 2
@@ -327,8 +328,9 @@ def _typical(observed: Observed, spectrum: Spectrum) -> Array:
 
 
 def _carried(energy: Array, count: Array, above: float, carried: float) -> Array:
-    """Levels (B,) of the bands, computed from the highest band down. Each band is smoothed towards the next higher band, and the
-    highest band towards the level `above`. In this average, the higher level has the weight of `carried` additional coefficients."""
+    """Returns the levels (B,) of the bands, computed from the highest band to the lowest. Each band is smoothed towards the next
+    higher band, and the highest band towards the level `above`. In this average, the higher level has the weight of `carried`
+    additional coefficients."""
     out = np.ones(len(energy))
     for band in range(len(energy) - 1, -1, -1):
         above = max((energy[band] + carried * above) / (count[band] + carried), _SMALLEST)
@@ -337,14 +339,14 @@ def _carried(energy: Array, count: Array, above: float, carried: float) -> Array
 
 
 def moderated(energy: Array, count: Array) -> Array:
-    """Variances (S,) of one band in S segments. Each variance is a compromise between the energy of its segment and the energies of
-    the other segments.
+    """Returns the variances (S,) of one band in S segments. Each variance is a weighted mean of the energy of its segment and the
+    energies of the other segments.
 
-    The variances of the segments are assumed to scatter as the inverse of a χ² variable, whose degrees of freedom follow from the
-    scatter of the energies (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). If the energies scatter no more than those of one and
-    the same variance, the result is 1. `energy`: array of shape (S,), energy of the band in each segment, relative to the common
-    variance. `count`: array of shape (S,), number of coefficients of the band in each segment. Each result is the variance of the
-    predictive Student's t distribution of a further coefficient.
+    The variances of the segments are assumed to scatter like the inverse of a χ² variable. The degrees of freedom of this variable
+    follow from the scatter of the energies (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). If a common variance of all segments
+    explains the scatter of the energies, the result is 1. `energy`: array of shape (S,), energy of the band in each segment,
+    relative to the common variance. `count`: array of shape (S,), number of coefficients of the band in each segment. Each result
+    is the variance of the predictive Student's t distribution of a further coefficient.
     """
     from scipy.optimize import brentq
     from scipy.special import digamma, polygamma
@@ -365,8 +367,8 @@ def moderated(energy: Array, count: Array) -> Array:
 
 
 def _better(ratio: Array, count: Array) -> bool:
-    """Returns True if separate levels describe the variances `ratio` (n,) better than the level of the white noise, 1, by Schwarz's
-    criterion. The variances are relative to the white noise and have the degrees of freedom `count` (n,)."""
+    """Returns True if, by Schwarz's criterion, separate levels describe the variances `ratio` (n,) better than the common level 1
+    of the white noise. The variances are relative to the white noise and have the degrees of freedom `count` (n,)."""
     seen = count > 0
     ratio, count = np.maximum(ratio[seen], _SMALLEST), count[seen]
     gain = float((count * (ratio - 1 - np.log(ratio))).sum())
@@ -375,5 +377,5 @@ def _better(ratio: Array, count: Array) -> bool:
 
 def _fits(energy: Array, count: Array, variance: Array) -> bool:
     """Returns True if variances (B,) from other data describe energies (B,), with degrees of freedom `count` (B,), better than
-    white noise does. The likelihoods of the two descriptions are compared directly, because no parameter is fitted."""
+    white noise. The likelihoods of the two descriptions are compared directly, because no parameter is fitted."""
     return bool((energy * (1 - 1 / variance) - count * np.log(variance)).sum() > 0)

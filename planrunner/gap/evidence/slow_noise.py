@@ -1,10 +1,10 @@
-"""Describes slow noise: flicker by the exact covariances of its means over segments, and by its spectrum within the segments; a
-random walk by the exact covariances of all coefficients.
+"""Describes slow noise. Flicker is described by the exact covariances of its means over segments, and by its spectrum within the
+segments. A random walk is described by the exact covariances of all coefficients.
 
 Flicker is represented by a sum of Ornstein–Uhlenbeck processes whose correlation times are two octaves apart (Keshner, "1/f noise",
-Proc. IEEE 70, 1982); a random walk has the covariance q²·min(t, t'). Both are averaged over the segments in closed form. What a
-random walk does within a segment continues in the means of all later segments. Therefore its coefficients within a segment are not
-independent of these means.
+Proc. IEEE 70, 1982). A random walk has the covariance q²·min(t, t'). The averages of both covariances over the segments have a
+closed form. A change of a random walk within a segment continues in all later segments. Therefore, the coefficients of a random
+walk within a segment are not independent of the means of later segments.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
     """Computes the covariance of the means over the intervals [start, end] of a process with unit variance and the covariance
     function exp(−|t − t'|/τ). Returns an array of shape (S, S).
 
-    A segment of length T has the variance 2(x − 1 + e^−x)/x² with x = T/τ. Two disjoint segments have the covariance e^(−gap/τ)·Π(1 −
-    e^−x_i)/x_i, where gap is the time between them.
+    A segment of length T has the variance 2(x − 1 + e^−x)/x² with x = T/τ. Two disjoint segments have the covariance e^(−gap/τ)·Π(1
+    − e^−x_i)/x_i, where gap is the time between the two segments.
     """
     lasting = ends - starts
     x = lasting / tau
@@ -43,9 +43,10 @@ def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
 def flicker(starts: Array, ends: Array) -> Array:
     """Computes the covariance of the segment means of flicker noise whose coefficient of bias instability B is 1, shape (S, S).
 
-    Flicker noise has the one-sided density B²/(π·f), and the Allan deviation √(2·ln 2/π)·B = 0.664·B (IEEE Std 952, annex C). It is
-    represented by a sum of processes of variance v whose correlation times differ by a factor r. Between the corner frequencies of
-    the processes, their total density is v/(ln r·f). It equals B²/(π·f) with B = 1 if v = ln r/π.
+    Flicker noise has the one-sided density B²/(π·f), and the Allan deviation √(2·ln 2/π)·B = 0.664·B (IEEE Std 952, annex C).
+    Flicker noise is represented by a sum of processes of variance v whose correlation times differ by a factor r. Between the
+    corner frequencies of the processes, their total density is v/(ln r·f). With v = ln r/π, this density is equal to B²/(π·f) with
+    B = 1.
     """
     level = math.log(OCTAVES[1] / OCTAVES[0]) / math.pi
     total = np.zeros((len(starts), len(starts)))
@@ -69,15 +70,15 @@ def random_walk(starts: Array, ends: Array) -> Array:
 
 
 def random_walk_within(vectors: Array, step: float) -> tuple[Array, Array, Array]:
-    """Computes the covariances that a random walk with unit density causes for the coefficients of one segment.
+    """Computes the covariances of the coefficients of one segment due to a random walk with unit density.
 
     `vectors`: array of shape (n, m), orthonormal vectors, of which the first is constant. `step`: time between two of the n
     samples, each of which is a mean over this time, in s. Returns the covariance (m, m) of the coefficients, their covariance (m,)
-    with the mean of the segment, and their covariance (m,) with the mean of any later segment. All values of the constant vector
-    are zero, because it belongs to the means.
+    with the mean of the segment, and their covariance (m,) with the mean of any later segment. All covariances of the constant
+    vector are zero, because this vector belongs to the means.
 
-    Two samples a ≤ b of the segment have the covariance step·(a + ½) if a < b, and step·(a + ⅓) if a = b, plus the time before the
-    segment. This time cancels in all vectors except the constant one.
+    The covariance of two samples a ≤ b of the segment is the time before the segment plus step·(a + ½) if a < b, or plus step·(a +
+    ⅓) if a = b. The time before the segment cancels in all vectors except the constant vector.
     """
     count = len(vectors)
     later = np.cumsum(vectors[::-1], axis=0)[::-1]
@@ -90,7 +91,7 @@ def random_walk_within(vectors: Array, step: float) -> tuple[Array, Array, Array
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """Contains the covariances of slow noise: of flicker with B = 1, and of a random walk with unit density.
+    """Contains the covariances of slow noise: flicker with B = 1, and a random walk with unit density.
 
     `flicker`, `random_walk`: arrays of shape (S, S), covariances of the segment means. `walk_within`: covariances of the
     coefficients of a random walk within each segment, samples; zero for the means. `walk_across`: array of shape (S, M),

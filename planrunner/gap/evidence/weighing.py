@@ -1,19 +1,18 @@
 """Whitens coefficients with the noise, projects the nominal parameters out of them, and evaluates designs on the result.
 
 A setting of the noise consists of a level of flicker and a level of random walk for each triad. At every setting, the coefficients
-of each channel are whitened: first those above order 0, segment by segment; then those of order 0, jointly over the segments, after
-the part that the other coefficients predict has been subtracted. Only a random walk makes this part different from zero. Then the
-nominal parameters, which have a flat prior, are projected out. The likelihood of the residuals is the residual likelihood (REML:
-Patterson and Thompson, Biometrika 58, 1971).
+of each channel are whitened: first the coefficients above order 0, segment by segment; then the coefficients of order 0, jointly
+over the segments. Before the second step, the part that the other coefficients predict is subtracted. Only with a random walk is
+this part different from zero. Then the nominal parameters, which have a flat prior, are projected out. The likelihood of the
+residuals is the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
 
-Some recordings cannot separate all nominal parameters, for example because gravity is never along an axis, because there is only
-one orientation, or because the orientations of the poses are unknown. The columns of these parameters are linearly dependent or
-zero. Therefore, an independent basis of all nominal columns is computed first, so that the parameters absorb only the space that
-their columns span.
+Some recordings cannot separate all nominal parameters. Examples are recordings with a single orientation, with poses of unknown
+orientation, or in which gravity is never along an axis. The columns of these parameters are linearly dependent or zero. Therefore,
+an independent basis of all nominal columns is computed first, so that the parameters absorb only the space that their columns span.
 
 The evidence of a design needs only the eigenvalues of its Gram matrix and the squared scores along the eigenvectors. Both are
-computed from the few rows in which the design is not zero. Let Y be its whitened rows and B an orthonormal basis of the nominal
-columns: then the Gram matrix is YᵀY − (BᵀY)ᵀ(BᵀY), and the score is Yᵀr, because the residual r has no component along B.
+computed from the few rows in which the design is not zero. Let Y be the whitened rows of the design, and B an orthonormal basis of
+the nominal columns. Then the Gram matrix is YᵀY − (BᵀY)ᵀ(BᵀY). The score is Yᵀr, because the residual r has no component along B.
 """
 
 from __future__ import annotations
@@ -37,11 +36,13 @@ from planrunner.gap.evidence.spectrum import Spectrum
 FLICKER_FACTORS = (1.0, 0.5, 2.0)
 FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
 WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)
-"""Levels of an undeclared random walk, as their expected energy in the segment means of the triad."""
+"""Levels of an undeclared random walk. Each level is stated as the expected energy of the random walk in the segment means of the
+triad."""
 
 
 DEPENDENT = 1e-8
-"""Singular value, of columns of unit length and relative to the largest, below which a direction counts as dependent."""
+"""Limit for the singular values of columns of unit length, relative to the largest value. Below the limit, a direction counts as
+dependent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +52,7 @@ class Setting:
     `flicker`: factor by which the declared flicker level is multiplied. `walk`: level of the random walk in SI/√s. If `alike` is
     True, `walk` is the density of the random walk in every axis; otherwise it is the scale of the prior from which the density of
     each axis is drawn. `prior`: prior probability of this setting. The prior probabilities of all settings with a random walk add
-    up to 1, and so do those of all settings without one.
+    up to 1. The prior probabilities of all settings without a random walk also add up to 1.
     """
 
     flicker: float
@@ -107,7 +108,7 @@ def walking_alike(weights: Sequence[ChannelWeights], settings: Sequence[Setting]
     For a scale q, the density of an axis has the prior |N(0, q²)|. The likelihood is averaged over the density levels with this
     prior. The returned weights are the weights of the most probable level. The data from which this level is estimated may also
     contain an effect. If a strong effect is present, random walks with the same density in all axes are closer to the truth.
-    Settings with such random walks (`alike`) are therefore included as well.
+    Therefore, settings with such random walks (`alike`) are also included.
     """
     log = np.array([weight.log_likelihood for weight in weights])
     walks = np.array([setting.walk for setting in settings])
@@ -469,9 +470,9 @@ class Left:
 
 
 def eigen(left: Left, design: Array | Rows) -> Eigen:
-    """Returns the eigenvalues and the squared scores of a design. `design`: columns (M, P), or a mask (M,) of rows. A mask stands
-    for a design with one column for each selected row; this column is zero in all other rows. Both results are empty if the design
-    is zero in all remaining rows."""
+    """Returns the eigenvalues and the squared scores of a design. `design`: columns (M, P), or a mask (M,) of rows. A mask
+    represents a design with one column for each selected row. Each column is zero in all other rows. Both results are empty if the
+    design is zero in all remaining rows."""
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
     columns = np.asarray(design[:, design.any(axis=0)], dtype=float)
