@@ -6,9 +6,9 @@ declared correlated errors (`correlated_errors`). The fit is generalised least s
 different questions:
 
     within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences. Unstated
-                     changes from segment to segment (switch-on, an incomplete model) are not included. residual V gives the
-                     proportions, and the scatter of the segments about the model gives one common factor. Unstated effects are
-                     included, but there are few degrees of freedom.
+                     changes from segment to segment (switch-on, an incomplete model) are not included.
+    residual         V gives the proportions, and the scatter of the segments about the model gives one common factor. Unstated
+                     effects are included, but there are few degrees of freedom.
 """
 
 from __future__ import annotations
@@ -30,10 +30,23 @@ from planrunner.estimators.unstated_flicker import FlickerEvidence, UnstatedFlic
 from planrunner.observation.correlated_errors import CorrelatedError, explained, functionals_of, mixed, stacked_roots
 from planrunner.observation.drift import NO_DRIFT, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, Observations, WithinSegmentNoise, within_segment_noise
+from planrunner.plan.kinds import Choice, key
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 BASES = ("residual", "within_segment")
 _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the means' scatter
+
+
+def uncertainty_basis(scatter: str = "segments about the model", within: str = "segments") -> str:
+    """Makes the key that states the basis of the uncertainties. `scatter`: the text that names the scatter of the residual basis.
+    `within`: the text that names what contains the noise of the other basis."""
+    stated: str = key(
+        Choice(BASES),
+        f"Basis of the uncertainties: the scatter of the {scatter}, or the noise within the {within}.",
+        "residual",
+        default="residual",
+    )
+    return stated
 
 
 @dataclass(frozen=True, slots=True)

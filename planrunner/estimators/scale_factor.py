@@ -32,7 +32,7 @@ from planrunner.estimators.interface import (
     EstimationError,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
+from planrunner.estimators.outputs_fit import OutputsFit, coefficients_by_noise, fit_outputs, uncertainty_basis
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import common_rate, rate_errors
 from planrunner.estimators.tables import Role, Table, TableColumn, by_columns
@@ -76,12 +76,7 @@ class ScaleFactorParameters(Record):
         "noise",
         default="noise",
     )
-    uncertainty: str = key(
-        Choice(BASES),
-        "Basis of the uncertainties: the scatter of the rates about the line, or the noise within the segments.",
-        "residual",
-        default="residual",
-    )
+    uncertainty: str = uncertainty_basis("rates about the line")
     drift_span: Quantity = drift_span()
     drift: tuple[str, ...] = drift()
     temperature_channel: str | None = thermometer()

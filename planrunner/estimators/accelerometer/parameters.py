@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from planrunner.estimators.outputs_fit import BASES
+from planrunner.estimators.outputs_fit import uncertainty_basis
 from planrunner.observation.drift import drift, thermometer
 from planrunner.observation.flicker import drift_span
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, Record, key
@@ -32,12 +32,7 @@ class AccelerometerMultiPositionParameters(Record):
         ["bias", "accel_x", "accel_z"],
         default=TERMS,
     )
-    uncertainty: str = key(
-        Choice(BASES),
-        "Basis of the uncertainties: the scatter of the positions about the model, or the noise within the positions.",
-        "residual",
-        default="residual",
-    )
+    uncertainty: str = uncertainty_basis("positions about the model", "positions")
     drift_span: Quantity = drift_span()
     drift: tuple[str, ...] = drift()
     temperature_channel: str | None = thermometer()

@@ -7,7 +7,7 @@ import re
 from planrunner.base import plugins
 from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import Findings, closest
-from planrunner.estimators.outputs_fit import BASES
+from planrunner.estimators.outputs_fit import uncertainty_basis
 from planrunner.observation.drift import drift
 from planrunner.observation.flicker import drift_span
 from planrunner.plan import source
@@ -103,11 +103,6 @@ class ErrorModelParameters(Record):
         {"gyro_bandwidth": {"tau": "5 ms"}, "gyro_warm_up": {"tau": "600 s", "a_x": "0.01 deg/s"}},
         default_factory=dict,
     )
-    uncertainty: str = key(
-        Choice(BASES),
-        "Basis of the uncertainties: the scatter of the segments about the model, or the noise within the segments.",
-        "residual",
-        default="residual",
-    )
+    uncertainty: str = uncertainty_basis()
     drift_span: Quantity = drift_span()
     drift: tuple[str, ...] = drift()

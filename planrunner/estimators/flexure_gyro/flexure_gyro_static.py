@@ -24,7 +24,7 @@ from planrunner.estimators.fit_positions import PositionsDesign, fit_positions, 
 from planrunner.estimators.fit_tables import bases_table, drift_tables, residual_plot, residual_table
 from planrunner.estimators.interface import Design, DesignRequest, Estimate, EstimateRequest, EstimationError
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.outputs_fit import BASES, OutputsFit
+from planrunner.estimators.outputs_fit import BASES, OutputsFit, uncertainty_basis
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.observation.correlated_errors import functionals_of
 from planrunner.observation.drift import drift, thermometer
@@ -54,12 +54,7 @@ class FlexureGyroStaticParameters(Record):
         ["accel_x_accel_z"],
         default_factory=tuple,
     )
-    uncertainty: str = key(
-        Choice(BASES),
-        "Basis of the uncertainties: the scatter of the positions about the model, or the noise within the positions.",
-        "residual",
-        default="residual",
-    )
+    uncertainty: str = uncertainty_basis("positions about the model", "positions")
     pool_outputs: bool = key(
         Boolean(),
         "With `uncertainty: residual`, use one common ratio of residual scatter to noise for both outputs, which doubles "

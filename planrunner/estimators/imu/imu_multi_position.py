@@ -38,7 +38,7 @@ from planrunner.estimators.interface import (
     Remark,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.outputs_fit import BASES, OutputsFit
+from planrunner.estimators.outputs_fit import OutputsFit, uncertainty_basis
 from planrunner.estimators.stated_errors import mean_poses
 from planrunner.estimators.tables import FilledColumn, Role, Table, TableColumn, by_columns
 from planrunner.observation.drift import drift, thermometer
@@ -92,12 +92,7 @@ class ImuMultiPositionParameters(Record):
         "lower_triangular",
         default="full",
     )
-    uncertainty: str = key(
-        Choice(BASES),
-        "Basis of the uncertainties: the scatter of the segments about the model, or the noise within the segments.",
-        "residual",
-        default="residual",
-    )
+    uncertainty: str = uncertainty_basis()
     drift_span: Quantity = drift_span()
     drift: tuple[str, ...] = drift()
     temperature_channel: str | None = thermometer()

@@ -34,7 +34,7 @@ from planrunner.estimators.interface import (
     Remark,
 )
 from planrunner.estimators.method import Method, Quantities, Words
-from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by_noise, fit_outputs
+from planrunner.estimators.outputs_fit import OutputsFit, coefficients_by_noise, fit_outputs, uncertainty_basis
 from planrunner.estimators.tables import Role, Table, TableColumn, by_columns
 from planrunner.estimators.tilted.fixture_gains import (
     FITTED,
@@ -84,12 +84,7 @@ class FixtureAnglesParameters(Record):
     rate_unit: str = key(
         Text("", "a unit of angular rate"), "Unit of the table's rate in the results.", "deg/s", default="deg/s"
     )
-    uncertainty: str = key(
-        Choice(BASES),
-        "Basis of the uncertainties: the scatter of the segments about the model, or the noise within the segments.",
-        "residual",
-        default="residual",
-    )
+    uncertainty: str = uncertainty_basis()
     drift: tuple[str, ...] = drift()
     temperature_channel: str | None = thermometer()
 
