@@ -44,6 +44,11 @@ class Channel:
     flicker: float = 0.0
     resolution: float = 0.0
 
+    def sample_variance(self, rate: float, count: float | None = None) -> float:
+        """Returns the declared variance, SI, of samples at the sampling rate `rate` [Hz]: white noise and the rounding to counts.
+        `count`: size of one count, SI, if it is not the declared one."""
+        return self.white**2 * rate + (self.resolution if count is None else count) ** 2 / 12
+
 
 def axis_of(name: str) -> int | None:
     """Returns the sensor axis along which a channel measures. The axis is the first x, y or z among the words of the channel's

@@ -46,7 +46,7 @@ def noise_found(weighing: Weighing, lines: Sequence[Line]) -> tuple[NoiseFound, 
     by_channel = {line.channel: line for line in lines}
     found = []
     for index, channel in enumerate(declared.channels):
-        sample = np.sqrt(channel.white**2 * declared.sample_rate + channel.resolution**2 / 12) if channel.white else 0.0
+        sample = np.sqrt(channel.sample_variance(declared.sample_rate)) if channel.white else 0.0
         level = np.sqrt(noise.level[:, index])
         still = noise.spectrum[int(noise.moving.min()), 0, index]
         found.append(

@@ -104,9 +104,7 @@ def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -
     """Returns the entry for noise or a tone outside the basis. The p-value of this entry follows from Markov's inequality: for
     noise alone, a Bayes factor of at least B has at most the probability 1/B."""
     declared = weighing.declared.channels[channel]
-    level = (declared.white**2 * weighing.observed.sample_rate + declared.resolution**2 / 12) / weighing.white[
-        channel
-    ] ** 2
+    level = declared.sample_variance(weighing.observed.sample_rate) / weighing.white[channel] ** 2
     p = min(1.0, places_ * float(np.exp(-evidence)))
     return MisfitPlace(declared.name, Factor.BAND, "noise or a tone", float(np.clip(1 - level, 0.0, 1.0)), p, "noise")
 

@@ -94,7 +94,7 @@ def _other(kind: str) -> str:
 def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[float] | Array) -> bool:
     """Returns True if, in any channel of the triad, both the declared and the measured noise are too small to dither the counts."""
     for index in observed.of_kind(kind):
-        declared = observed.channels[index].white ** 2 * observed.sample_rate + counts_[index] ** 2 / 12
+        declared = observed.channels[index].sample_variance(observed.sample_rate, float(counts_[index]))
         if is_coarse(max(float(white[index]), np.sqrt(declared)), counts_[index]):
             return True
     return False
@@ -109,10 +109,9 @@ def _excess(
         ratios = []
         for index in observed.of_kind(kind):
             channel = observed.channels[index]
-            declared = channel.white**2 * observed.sample_rate
-            step = float(steps[index])
             if channel.white > 0:
-                ratios.append(np.log(white[index] ** 2 / (declared + step**2 / 12)) / 2)
+                declared = channel.sample_variance(observed.sample_rate, float(steps[index]))
+                ratios.append(np.log(white[index] ** 2 / declared) / 2)
                 sigma = float(np.sqrt(1 / (2 * degrees[index] * len(observed.of_kind(kind))) + 1e-6))
         if ratios:
             found[kind] = float(np.mean(ratios))
@@ -125,7 +124,7 @@ def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:
-            level = white[index] ** 2 / (channel.white**2 * observed.sample_rate + channel.resolution**2 / 12)
+            level = white[index] ** 2 / channel.sample_variance(observed.sample_rate)
             sigma = float(np.sqrt(1 / (2 * degrees[index]) + 1e-6))
             excess = {"gyro": float(np.log(level)) / 2}
             found[index] = _density(excess, sigma, ["gyro"]) - _density(excess, sigma, [])
