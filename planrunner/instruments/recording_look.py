@@ -242,7 +242,9 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
             file = reading(whole, columns, time.column)
         found = rate if rate is not None else 0.0 if time is None else time.rate
         stamp = time if rate is None else None
-        guesses = guessed_channels([column for column in columns if stamp is None or column != stamp.column])
+        guesses = guessed_channels(
+            [column for column in columns if stamp is None or column != stamp.column], whole.units()
+        )
         guesses = _named_or_alike(guesses, first)
         clock = _Clock(stamp, max(PAUSE, _PERIODS / found))
         wanted = [one.column for one in guesses]

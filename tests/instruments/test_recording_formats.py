@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import openpyxl
 import pytest
+from nptdms import ChannelObject, TdmsWriter
 from numpy.typing import NDArray
 from scipy.io import savemat
 
@@ -189,7 +190,23 @@ def write_excel(folder: Path) -> str:
     return keys + columns({"x": "x", "z": "z"})
 
 
+def write_tdms(folder: Path) -> str:
+    """Three writes, a channel of texts and another group; the time is that of the waveforms."""
+    wave = {"wf_start_offset": 5.0, "wf_increment": 0.01}
+    with TdmsWriter(folder / "r.tdms") as writer:
+        for rows in np.split(RATE, [300, 310]):
+            channels = [
+                ChannelObject("IMU", name, rows[:, k].copy(), wave) for k, name in enumerate(("x", "y", "it's/z"))
+            ]
+            writer.write_segment(
+                [*channels, ChannelObject("IMU", "note", ["a"]), ChannelObject("slow", "x", rows[:5, 0].copy())]
+            )
+    keys = "file: r.tdms\ntime: {column: IMU/wf_time_s}\n"
+    return keys + 'channels: {x: {column: IMU/x, unit: deg/s}, z: {column: "IMU/it\'s/z", unit: deg/s}}'
+
+
 WRITERS = (
+    write_tdms,
     write_excel,
     write_json_lines,
     write_json_list,
@@ -367,10 +384,35 @@ def test_a_view_of_sqlite_is_not_run(tmp_path: Path) -> None:
     assert "has no tables" in refusal(tmp_path, "file: r.db\ntime: {column: t}\n" + columns({"x": "x"}))
 
 
-@pytest.mark.parametrize("name", ["r.mat", "r.npy", "r.npz", "r.h5", "r.db", "r.ulg", "r.parquet", "r.json", "r.xlsx"])
 @pytest.mark.parametrize(
-    "content", [b"", b"PK\x03\x04", b"\x89HDF\r\n\x1a\n", bytes(range(256)) * 20, zlib.compress(b"x" * 999)]
+    "name", ["r.mat", "r.npy", "r.npz", "r.h5", "r.db", "r.ulg", "r.parquet", "r.json", "r.xlsx", "r.tdms"]
+)
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"PK\x03\x04", b"TDSm" + bytes(200), b"\x89HDF\r\n\x1a\n", bytes(range(256)) * 20, zlib.compress(b"x" * 999)],
 )
 def test_a_file_that_is_none_of_its_format_is_refused_in_words(tmp_path: Path, name: str, content: bytes) -> None:
     (tmp_path / name).write_bytes(content)
     assert refusal(tmp_path, f"file: {name}\ntime: {{column: t}}\n" + columns({"x": "x"})).startswith(name)
+
+
+def test_channels_of_tdms_of_different_lengths(tmp_path: Path) -> None:
+    keys = write_tdms(tmp_path).split("channels")[0]
+    said = refusal(tmp_path, keys + columns({"x": "slow/x"}))
+    assert "r.tdms: 'slow/x' has 15 rows and 'IMU/wf_time_s' has 1000" in said
+    said = refusal(tmp_path, keys + columns({"x": "x"}))
+    assert "r.tdms has no column 'x'; its columns are 'IMU/wf_time_s', 'IMU/x'" in said
+
+
+@pytest.mark.parametrize("size", range(0, 3000, 61))
+def test_a_tdms_file_that_is_cut_is_read_up_to_there_or_refused(tmp_path: Path, size: int) -> None:
+    keys = write_tdms(tmp_path)
+    whole = (tmp_path / "r.tdms").read_bytes()
+    (tmp_path / "r.tdms").write_bytes(whole[:size])
+    said, kept = "r.tdms", RATE[:0, 0]
+    try:
+        kept = read(tmp_path, keys)[1]["x"]
+    except InstrumentError as error:
+        said = str(error)
+    assert said.startswith("r.tdms")
+    np.testing.assert_array_equal(kept, RATE[: len(kept), 0])

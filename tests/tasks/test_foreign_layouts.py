@@ -18,6 +18,7 @@ import openpyxl
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from nptdms import ChannelObject, RootObject, TdmsWriter
 from numpy.typing import NDArray
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
@@ -399,6 +400,28 @@ def excel_workbook(stamp: Callable[[float], object]) -> Write:
     return write
 
 
+def tdms(*, waves: bool) -> Write:
+    """As LabVIEW stores channels: their units are properties. `waves`: True if the time is that of waveforms, not a channel."""
+
+    def write(folder: Path) -> Path:
+        wave = {"wf_start_offset": 0.0, "wf_increment": 1 / RATE} if waves else {}
+        names = [
+            (f"{kind} {x}", unit) for kind, unit in (("AngularRate", "deg/s"), ("Acceleration", "g")) for x in "XYZ"
+        ]
+        table = np.column_stack([GYRO * DEG, ACCEL / G])
+        channels = [
+            ChannelObject("Run 1", name, table[:, k].copy(), {"unit_string": unit, **wave})
+            for k, (name, unit) in enumerate(names)
+        ]
+        stamps = np.datetime64("2026-03-04T12:00:00", "us") + (1e6 * TIME).round().astype("m8[us]")
+        channels += [] if waves else [ChannelObject("Run 1", "Time stamp", stamps)]
+        with TdmsWriter(folder / "r.tdms") as writer:
+            writer.write_segment([RootObject({"operator": "N. N."}), *channels])
+        return folder / "r.tdms"
+
+    return write
+
+
 CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "vectornav": (vectornav, None, "rad/s", "m/s^2"),
     "sbg": (sbg, "us", "deg/s", "m/s^2"),
@@ -447,6 +470,8 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "readings in json": (readings_in_json, "ms", "deg/s", "g"),
     "workbook": (excel_workbook(lambda t: NOON + timedelta(microseconds=round(1e6 * t))), DATE, "deg/s", "mg"),
     "workbook without dates": (excel_workbook(lambda t: 1000 * t), "ms", "deg/s", "mg"),
+    "tdms waveforms": (tdms(waves=True), "s", "deg/s", "g"),
+    "tdms with dates": (tdms(waves=False), DATE, "deg/s", "g"),
     "json lines": (json_lines, DATE, "rad/s", "m/s^2"),
     "json list": (json_list("r.log"), "ms", "deg/s", "g"),
     "json document": (json_list("r.json", {"device": {"serial": "7", "axes": [1, 2, 3]}}), "ms", "deg/s", "g"),
@@ -533,6 +558,7 @@ def written(content: bytes) -> Write:
             "is an archive or an Excel workbook: unpack it first, or rename the workbook",
         ),
         (written(b"\xd0\xcf\x11\xe0" + bytes(200)), "is an old Excel workbook: save it as an Excel workbook (.xlsx)"),
+        (written(b"TDSm" + bytes(200)), "is a TDMS file of LabVIEW: rename it with the extension .tdms"),
         (workbook_of_words, "r.xlsx has no sheet with rows of numbers in its first 200 rows"),
         (written(b"#ROSBAG V2.0\n" + bytes(200)), "is a ROS bag"),
         (written(b'{"t": 0.0, "gx": 1}\n' * 50), "no column of this recording looks like a time that increases"),

@@ -15,6 +15,7 @@ from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_sample
 from planrunner.instruments.formats.json_samples import JsonFile
 from planrunner.instruments.formats.long import LongFile, ReadingColumns
 from planrunner.instruments.formats.parquet import ParquetFile
+from planrunner.instruments.formats.tdms import TdmsFile
 from planrunner.instruments.formats.text import TextFile
 from planrunner.instruments.formats.workbook import WorkbookFile
 from planrunner.instruments.interfaces import InstrumentError
@@ -32,6 +33,7 @@ FORMATS: dict[str, type[AnyFile]] = {
     "ulog": UlogFile,
     "json": JsonFile,
     "excel": WorkbookFile,
+    "tdms": TdmsFile,
 }
 ENDINGS = {
     ".csv": "text",
@@ -52,6 +54,7 @@ ENDINGS = {
     ".ndjson": "json",
     ".xlsx": "excel",
     ".xlsm": "excel",
+    ".tdms": "tdms",
 }
 """File formats, by the extension of the file name."""
 

@@ -149,6 +149,10 @@ class FormatFile(ABC, Generic[Keys]):
     def columns(self) -> list[str]:
         """Returns the names of the columns. Raises `InstrumentError` if the file cannot be read."""
 
+    def units(self) -> Mapping[str, str]:
+        """Returns the units of the columns for which the file states them apart from the name."""
+        return {}
+
     @abstractmethod
     def rows_about(self) -> int:
         """Estimates the number of rows without reading them."""

@@ -219,7 +219,7 @@ _REFUSED = (
     ("an old Excel workbook", b"\xd0\xcf\x11\xe0", "save it as an Excel workbook (.xlsx)"),
     ("a ROS bag", b"#ROSBAG", "write the topic of the IMU as CSV, such as with `rostopic echo -b FILE -p TOPIC`"),
     ("a bag of ROS 2", b"\x89MCAP", "write the topic of the IMU as CSV"),
-    ("a TDMS file of LabVIEW", b"TDSm", "export its channels as text or as HDF5"),
+    ("a TDMS file of LabVIEW", b"TDSm", "rename it with the extension .tdms"),
     ("a PDF file", b"%PDF", "ask for the numbers as a text file"),
 )
 """Files that are recognised but not read. Each entry states the kind of file, how the file begins, and what the user can do."""
@@ -728,10 +728,16 @@ def _time_of(
     return None
 
 
-def guessed_channels(columns: Sequence[str]) -> list[Guess]:
-    """Guesses the meaning of columns from their names. If a vector has an element 0, its elements are counted from 0."""
+def guessed_channels(columns: Sequence[str], units: Mapping[str, str]) -> list[Guess]:
+    """Guesses the meaning of columns from their names. If a vector has an element 0, its elements are counted from 0. `units`: the
+    units that the file states apart from the names."""
     from_zero = {column[:-3] for column in columns if column.endswith("[0]")}
-    return [guessed_channel(column, 0 if _MATRIX.sub("", column) in from_zero else 1) for column in columns]
+    found = []
+    for column in columns:
+        named = f"{column} [{units[column]}]" if column in units else column
+        guess = guessed_channel(named, 0 if _MATRIX.sub("", column) in from_zero else 1)
+        found.append(replace(guess, column=column))
+    return found
 
 
 def guessed_channel(column: str, first: int = 1) -> Guess:
