@@ -1,6 +1,6 @@
-"""Arguments that several commands have: numbers and dates, where a command computes, and the archive of runs or its index.
+"""Arguments that several commands have: numbers and dates, the place of computation, and the archive of runs or its index.
 
-`--jobs` is for processes on this computer, and `--scheduler` for a Dask cluster.
+`--jobs` selects processes on this computer, and `--scheduler` selects a Dask cluster.
 """
 
 from __future__ import annotations

@@ -188,7 +188,7 @@ class Observed:
     `reach`: largest distance of a sensor from the axis of a table, m.
     `encoder`: True if the angle of a turning table is known, from an encoder or from a simulation.
     `scatter`: array of shape (K, Q), quantiles of the noise of a sample, SI, for effects that act on an output together with its noise;
-        None if such effects are to neglect the noise.
+        if `scatter` is None, such effects neglect the noise.
     """
 
     site: Site

@@ -1,5 +1,5 @@
-"""Computes what a schedule is expected to give before anything is recorded: design matrices of segments at rest, the noise of their
-means, and a recording whose segments have the means of a nominal sensor and the declared noise.
+"""Computes the expected results of a schedule before anything is recorded. These are the design matrices of segments at rest, the
+noise of their means, and a recording. The segments of this recording have the means of a nominal sensor and the declared noise.
 
 From the expected recording, an estimator computes the nominal value of every coefficient of a run
 (`planrunner.estimators.method`). For quantities that neither the plan nor the bench states, two different sets of values are

@@ -1,7 +1,7 @@
 """Defines the tables and plots that reports show, for estimates, design studies, diagnoses and histories.
 
-Tables are made by columns: either with the cells of each column (`by_columns`), or with a function that makes the cell for each row
-(`Shown` and `table_of`).
+Tables are made by columns. There are two ways: with the cells of each column (`by_columns`), or with a function that makes the cell
+for each row (`Shown` and `table_of`).
 """
 
 from __future__ import annotations

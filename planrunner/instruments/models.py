@@ -128,7 +128,7 @@ class NoiseModel:
 
     def rounding(self, samples: float | Array, variance: float | Array) -> Array:
         """Returns the variance [unit²] of the mean of some samples due to their rounding to counts. `variance`: variance of the
-        samples due to noise, unit². Where rounding does not average out, the mean has the whole error of one sample."""
+        samples due to noise, unit². If the rounding does not average out, the mean has the whole rounding error of one sample."""
         if self.counted:
             return np.asarray(self.resolution**2 / 6 / np.square(samples))
         return np.asarray(self.resolution**2 / 12 / np.where(self.dithers(variance), samples, 1.0))

@@ -519,7 +519,7 @@ _LABEL = r"[^/\x00-\x1f]{1,60}"
 
 
 class ForEachKind:
-    """Reads the value of `for_each`, a sweep over those keys of a state that may be swept."""
+    """Reads the value of `for_each`: a sweep over keys of a state that may be swept."""
 
     def read(self, node: source.Node, log: Findings) -> Sweep | None:
         if not isinstance(node, source.Mapping) or not node.entries:

@@ -38,10 +38,10 @@ class DescribedRange:
     """The averaging times that the noise model describes.
 
     `fitted`: the deviations to which `fit` was fitted; these are Hadamard deviations if `drift` is given. `shorter`, `longer`:
-    number of averaging times omitted at the short and at the long end. `distortions`: array of shape (r, 4), for each of these ends
-    the change beyond chance of the squared coefficients if one more averaging time is omitted there. `fits`: True if the model
-    describes the remaining averaging times. `probability`: if the model is right, the probability of a χ² at least as large as the
-    χ² found.
+    number of averaging times omitted at the short and at the long end. `distortions`: array of shape (r, 4). For each of these
+    ends, it contains a change of the squared coefficients: the change, beyond chance, if one more averaging time is omitted at this
+    end. `fits`: True if the model describes the remaining averaging times. `probability`: if the model is right, the probability of
+    a χ² at least as large as the χ² found.
     """
 
     fit: NoiseFit
@@ -53,12 +53,13 @@ class DescribedRange:
 
     @property
     def covariance(self) -> Array:
-        """Returns the covariance (4, 4) of the squared coefficients, including what the omitted averaging times may have left in them.
+        """Returns the covariance of the squared coefficients, shape (4, 4). It includes possible effects of the omitted averaging
+        times.
 
-        The end of the range was chosen by the same deviations that are fitted. Whatever changed the omitted deviations also changes
-        those next to them, by less than the χ² test can show. The change of the coefficients with one averaging time fewer,
-        as far as it is not chance, is an estimate of this distortion. It counts as a systematic error that is not corrected (JCGM
-        100:2008, F.2.4.5)."""
+        The end of the range was chosen by the same deviations that are fitted. The cause that changed the omitted deviations also
+        changes the neighbouring deviations, by less than the χ² test can show. This distortion is estimated from the change of the
+        coefficients with one averaging time fewer, as far as this change is not chance. It counts as a systematic error that is not
+        corrected (JCGM 100:2008, F.2.4.5)."""
         return np.asarray(self.fit.covariance + self.distortions.T @ self.distortions)
 
     @cached_property
@@ -133,9 +134,9 @@ class _Ranges:
 
 
 def distortion(chosen: NoiseFit, fewer: NoiseFit) -> Array:
-    """Returns the change of the squared coefficients beyond chance, shape (4,). For an efficient estimate, the variance of the change
-    by chance is the difference of the two variances (Hausman, 1978), so that δ² = (change² − this variance) estimates the squared
-    distortion; a negative δ² counts as zero."""
+    """Returns the change of the squared coefficients beyond chance, shape (4,). For an efficient estimate, the variance of the
+    change by chance is the difference of the two variances (Hausman, 1978). Therefore, δ² = change² − this variance estimates the
+    squared distortion. A negative δ² counts as zero."""
     change = fewer.squares - chosen.squares
     by_chance = np.clip(np.diag(fewer.covariance) - np.diag(chosen.covariance), 0.0, None)
     return np.asarray(np.sign(change) * np.sqrt(np.clip(change**2 - by_chance, 0.0, None)))

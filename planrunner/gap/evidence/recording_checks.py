@@ -23,7 +23,7 @@ INTERVALS = 1.5
 RATE_TOLERANCE = 0.1
 """Relative deviation from the declared sample rate above which the clock of a segment counts as wrong."""
 MOST_JUMPS = 10
-"""Number of equally long steps in a segment above which these steps show another sample rate, and not lost samples."""
+"""Limit for the number of equally long steps in a segment. Above it, these steps show another sample rate, not lost samples."""
 PRESENT = 0.9
 """Limit for two fractions of a segment. Below it, the recorded fraction of the planned dwell is reported as short, and the fraction
 of usable rows as poor."""
@@ -373,8 +373,8 @@ def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Ma
 
 
 def _long_steps(known: Statistics, rate: float) -> float:
-    """Returns the number of steps like the largest one that explain the number of samples of a segment. `rate`: sample rate [Hz] of
-    the other steps."""
+    """Returns the number of steps, each as long as the longest one, that explain the number of samples of a segment. `rate`: sample
+    rate [Hz] of the other steps."""
     missing = (known.end - known.start) * rate - (known.count - 1)
     return missing / (known.largest_gap * rate - 1)
 

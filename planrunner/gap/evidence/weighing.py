@@ -213,10 +213,10 @@ class ChannelWeights:
 
     def towards(self, other: ChannelWeights, share: float, nominal: Array, values: Array) -> ChannelWeights:
         """Returns the weights for the covariance C + share·(C′ − C). C is the covariance of these weights; C′ is the covariance of
-        `other`, which must contain flicker. Neither may contain a random walk. `share` may be negative or above 1, as long as
-        the result is a covariance. The covariance is linear in the square of the flicker level, so this method gives the
-        weights for any level of flicker. `nominal`: array of shape (M, q), nominal columns. `values`: array of shape (M,) in
-        SI units, coefficients of the channel."""
+        `other`, which must contain flicker. The two weights must not contain a random walk. `share` may be negative or above 1, as
+        long as the result is a covariance. The covariance is linear in the square of the flicker level, so this method gives the
+        weights for any level of flicker. `nominal`: array of shape (M, q), nominal columns. `values`: array of shape (M,) in SI
+        units, coefficients of the channel."""
         made = copy(self)
         made._covariance = self._covariance + share * (other._covariance - self._covariance)
         variance = 1 / self.scale**2

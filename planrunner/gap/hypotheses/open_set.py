@@ -112,7 +112,8 @@ def something_else(weighing: Weighing, signatures: Sequence[Array] = ()) -> floa
 
 def unknown(kinds: Kinds) -> Array:
     """Returns the log Bayes factor of "something else", shape (G,): the mean over single patterns and over combinations of
-    patterns. A periodic bias spans several sorts of coefficients; it is combined with the patterns outside the coefficients."""
+    patterns. A periodic bias consists of several sorts of coefficients. It is combined with the patterns outside the
+    coefficients."""
     periodic = kinds.log_bayes[PERIODIC] + _maybe(kinds.outside)
     return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several, periodic]), 0)
 

@@ -75,8 +75,8 @@ def settled(weighing: Weighing, effect: Shaped, shape: float, taken: Sequence[Ar
     (`Weighing.seen`).
 
     `taken`: for each channel, the coefficients (M,) that the effect causes at the nominal parameters of the preceding fit. A fit to
-    the data minus `taken` converges slowly: where the output is limited, it keeps the scale factor of the preceding fit. Therefore
-    the change of the effect with the parameters is taken into account (Gauss–Newton).
+    the data minus `taken` would converge slowly: in segments with a limited output, it would keep the scale factor of the preceding
+    fit. Therefore, the fit includes the change of the effect with the parameters (Gauss–Newton).
     """
     for _ in range(_STEPS):
         point = operating_point(weighing, effect, shape, taken)

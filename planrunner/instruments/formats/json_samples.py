@@ -1,7 +1,7 @@
 """Reads samples in JSON: one value per line (JSON lines), a list of samples, or an object that contains a list for each column.
 
-A sample is an object or a list. The column of a number in an object within the sample is named with a point (`gyro.x`), and the
-column of a number in a list is named by its position, counted from 1 (`gyro[2]`; `data[2]` if the sample itself is a list).
+A sample is an object or a list. A number in an object within the sample has a column name with a point (`gyro.x`). A number in a
+list has a column name with its position, counted from 1 (`gyro[2]`; `data[2]` if the sample itself is a list).
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from planrunner.plan.kinds import Record, Text, optional
 from planrunner.plan.span import Span
 
 ROWS = 8_192
-"""Rows in one batch."""
+"""Number of rows in one batch."""
 MAX_HELD = 60_000_000
-"""Numbers of a file with one list for each column, which is read as a whole."""
+"""Maximum number of numbers in a file with one list for each column. Such a file is read as a whole."""
 _LOOKED_AT = 1_000  # samples whose names are collected
 _DEEPEST = 6  # objects in objects
 _CLEARLY = 10  # times the length of the next list, for a list that contains the samples if none is named
@@ -68,7 +68,7 @@ class _Layout:
 
 
 class JsonFile(FormatFile[JsonKeys]):
-    """Reads a JSON file. A value that is absent or null is a missing number. Samples that contain no channel are left out."""
+    """Reads a JSON file. A value that is absent or null is a missing number. Samples that contain no channel are omitted."""
 
     Parameters = JsonKeys
 
@@ -293,7 +293,7 @@ class _Lists:
             scanner.skip()
 
     def _list(self, scanner: JsonScanner, path: tuple[str, ...]) -> None:
-        """Reads a list. Its first element decides whether it is a column, several columns, or a list of samples."""
+        """Reads a list. The first element of a list decides whether the list is a column, several columns, or a list of samples."""
         name, width = ".".join(path), None
         for _ in scanner.elements():
             if scanner.peek() == "{":
@@ -343,7 +343,8 @@ def _descend(scanner: JsonScanner, path: Sequence[str]) -> bool:
 
 
 def _collect(value: object, name: str, path: tuple[Step, ...], columns: dict[str, tuple[Step, ...]]) -> None:
-    """Adds the columns that a value of a sample contains. `name`, `path`: the name of the value, and what leads to it."""
+    """Adds the columns that a value of a sample contains. `name`, `path`: the name of the value, and the keys and positions that
+    lead to it."""
     if isinstance(value, dict) and len(path) < _DEEPEST:
         for key, inner in value.items():
             _collect(inner, f"{name}.{key}" if name else str(key), (*path, str(key)), columns)

@@ -11,9 +11,9 @@ from typing import BinaryIO
 from planrunner.instruments.interfaces import InstrumentError
 
 PIECE = 1 << 18
-"""Bytes that are read at once."""
+"""Number of bytes that are read together."""
 MAX_VALUE = 1 << 22
-"""Characters of a value that is decoded as a whole, such as one sample."""
+"""Maximum number of characters of a value that is decoded as a whole, such as one sample."""
 _DEEPEST = 50  # values in values
 _SPACE = re.compile(r"[ \t\r\n]*")
 _WORDS = ("true", "false", "null", "NaN", "Infinity", "-Infinity")
@@ -115,7 +115,7 @@ class JsonScanner:
         self._at += 1
 
     def records(self) -> Iterator[object]:
-        """Yields the elements of a list, each as a whole. An element that the file does not contain completely is left out."""
+        """Yields the elements of a list, each as a whole. An element that the file does not contain completely is omitted."""
         for _ in self.elements():
             value = self._last_value()
             if self.truncated:
@@ -143,7 +143,7 @@ class JsonScanner:
         self._at += 1
 
     def skip(self, depth: int = 0) -> None:
-        """Reads the next value, whatever its length, and forgets it."""
+        """Reads the next value of any length, and discards it."""
         if depth > _DEEPEST:
             raise self._fault("the value is nested too deeply")
         opening = self.peek()
@@ -191,7 +191,7 @@ class JsonScanner:
         self._at += 1
 
     def _more(self) -> None:
-        """Reads the next piece of the file, and forgets the text that was read."""
+        """Reads the next piece of the file, and discards the text that has been processed."""
         done = self._text[: self._at]
         if "\n" in done:
             self._line += done.count("\n")

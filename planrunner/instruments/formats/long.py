@@ -1,7 +1,7 @@
 """Reads long tables, in which each row is one reading: a time, the name of a channel or sensor, and its value or values.
 
-ReadingColumns with the same time become one row. Each channel then has a column with its name (`gyro_x`). If a reading has several values,
-the name of the column of the value follows after a point (`gyroscope.x`).
+Readings with the same time become one row. Each channel then has a column with its name (`gyro_x`). If a reading has several
+values, a point and the name of the value's column are appended (`gyroscope.x`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from planrunner.plan.span import EVERYTHING, Span
 from planrunner.plan.units import DIMENSIONS, Unit
 
 MAX_HELD = 50_000_000
-"""Numbers of a table that is not sorted by time and is therefore read as a whole."""
+"""Maximum number of numbers in a table that is not sorted by time. Such a table is read as a whole."""
 _COLUMN = r"[^\x00-\x1f]{1,200}"
 _SAME_TIME = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
 
@@ -61,8 +61,8 @@ class ReadingColumns(Record):
 
 @dataclass(frozen=True, slots=True)
 class _Batch:
-    """ReadingColumns in the order of the file. `first`: number of the first row. `time`: shape (n,), s. `code`: shape (n,), index of the
-    name in the table; -1 if it is missing. `values`: shape (n, k)."""
+    """Contains readings in the order of the file. `first`: number of the first row. `time`: shape (n,), s. `code`: shape (n,),
+    index of the name in the table; -1 if it is missing. `values`: shape (n, k)."""
 
     first: int
     time: Array
@@ -72,11 +72,11 @@ class _Batch:
 
 @dataclass
 class _Survey:
-    """Facts about a whole table of readings.
+    """Contains facts about a whole table of readings.
 
-    `names`: the names, each with its index. `count`: number of readings. `ordered`: True if no reading is earlier than the one
-    before. `fault`: the first reading that is not later than the one before with the same name: its row, its name, and the two
-    times, s."""
+    `names`: the names, each with its index. `count`: number of readings. `ordered`: True if no reading is earlier than the previous
+    reading. `fault`: the first reading that is not later than the previous reading with the same name: its row, its name, and the
+    two times, s."""
 
     names: dict[str, int] = field(default_factory=dict)
     count: int = 0
@@ -171,8 +171,8 @@ class LongFile(FormatFile[Record]):
         return survey
 
     def _first_fault(self, batch: _Batch, last: Array) -> tuple[int, str, float, float] | None:
-        """Finds a reading that is not later than the one before with the same name. `last`: shape (names,), the last time [s] of
-        each name, which is updated."""
+        """Finds a reading that is not later than the previous reading with the same name. `last`: shape (names,), the last time [s]
+        of each name, which is updated."""
         order = np.argsort(batch.code, kind="stable")
         code, time = batch.code[order], batch.time[order]
         begins = np.diff(code, prepend=-2) != 0

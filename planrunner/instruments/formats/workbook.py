@@ -30,13 +30,14 @@ from planrunner.plan.kinds import ListOf, Number, Record, Text, key, optional
 from planrunner.plan.span import Span
 
 ROWS = 2_048
-"""Rows in one batch."""
+"""Number of rows in one batch."""
 MAX_SHEET = 4_000_000_000
-"""Bytes of a sheet after unpacking: about a million rows of 50 columns."""
+"""Maximum uncompressed size of a sheet in bytes. It is sufficient for about a million rows of 50 columns."""
 MAX_PART = 100_000_000
-"""Bytes, after unpacking, of any other part of a workbook, such as the table of its texts. These parts are read as a whole."""
+"""Maximum uncompressed size, in bytes, of any other part of a workbook, such as the table of its texts. These parts are read as a
+whole."""
 MAX_ROWS = 1_048_576
-"""Rows of a sheet in Excel."""
+"""Maximum number of rows of a sheet in Excel."""
 _MISSING = ("", "#N/A", "NA", "N/A", "NULL", "nan")
 _FAULTS = (
     zipfile.BadZipFile,
@@ -58,7 +59,7 @@ Cells = tuple[object, ...]
 
 
 class Sheet(Protocol):
-    """A sheet as openpyxl reads it. `max_row`: number of rows that the sheet states, None if it states none."""
+    """A sheet as openpyxl reads it. `max_row`: number of rows that the sheet states; None if it does not state the number."""
 
     title: str
 
@@ -97,7 +98,7 @@ class WorkbookKeys(Record):
 
 
 class WorkbookFile(FormatFile[WorkbookKeys]):
-    """Reads a sheet of a workbook. An empty cell is a missing number, and empty rows are left out."""
+    """Reads a sheet of a workbook. An empty cell is a missing number. Empty rows are omitted."""
 
     Parameters = WorkbookKeys
 
