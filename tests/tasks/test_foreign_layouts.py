@@ -9,6 +9,7 @@ import itertools
 import json
 import re
 import sqlite3
+import zlib
 from collections.abc import Callable, Iterable
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -509,6 +510,26 @@ def test_raw_counts_without_names(tmp_path: Path, capsys: pytest.CaptureFixture[
     found = {one["channel"]: one for one in said["channels"]}
     assert all(one["counts"] for one in found.values())
     assert found["accel_x"]["noise"] == pytest.approx(ACCEL_NOISE / G, rel=0.2)
+
+
+def test_raw_counts_of_a_novatel_receiver(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Increments of 0.05 m/s/32768 and 0.1 deg/3600/256 per count at 50 Hz, in the order z, -y, x, over the end of a GPS week."""
+    counts = np.column_stack([ACCEL / RATE / 0.05 * 32768, GYRO * DEG / RATE / 0.1 * 3600 * 256]).round().astype(int)
+    lines = []
+    for t, (ax, ay, az, gx, gy, gz) in zip(TIME.tolist(), counts.tolist(), strict=True):
+        week, second = divmod(2408 * 604800 + 604790 + t, 604800)
+        body = f"RAWIMUSA,{week:.0f},{second:.3f};{week:.0f},{second:.9f},00000077,{az},{-ay},{ax},{gz},{-gy},{gx}"
+        lines.append(f"%{body}*{zlib.crc32(body.encode(), 0xFFFFFFFF) ^ 0xFFFFFFFF:08x}")
+    file = text(tmp_path / "r.txt", "[USB1]", lines)
+    assert main(["new", "--from-recording", str(file), str(tmp_path / "begun.yaml"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["time"]["column"] == "time_s" and said["sample_rate_hz"] == pytest.approx(RATE, rel=1e-3)
+    found = {one["channel"]: one for one in said["channels"]}
+    assert list(found) == [f"{kind}_{x}" for kind in ("accel", "gyro") for x in "xyz"]
+    assert all(one["counts"] for one in found.values())
+    assert found["accel_x"]["noise"] == pytest.approx(ACCEL_NOISE / G, rel=0.2)
+    assert "axes" not in said or not said["axes"]
+    assert main(["check", str(tmp_path / "begun.yaml"), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
 
 
 def words(folder: Path) -> Path:

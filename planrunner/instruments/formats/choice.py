@@ -14,6 +14,7 @@ from planrunner.instruments.formats.database import SqliteFile
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
 from planrunner.instruments.formats.json_samples import JsonFile
 from planrunner.instruments.formats.long import LongFile, ReadingColumns
+from planrunner.instruments.formats.novatel import NovatelFile
 from planrunner.instruments.formats.parquet import ParquetFile
 from planrunner.instruments.formats.tdms import TdmsFile
 from planrunner.instruments.formats.text import TextFile
@@ -34,6 +35,7 @@ FORMATS: dict[str, type[AnyFile]] = {
     "json": JsonFile,
     "excel": WorkbookFile,
     "tdms": TdmsFile,
+    "novatel": NovatelFile,
 }
 ENDINGS = {
     ".csv": "text",

@@ -22,9 +22,10 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.formats.choice import ENDINGS, FORMATS, Format, open_file
 from planrunner.instruments.formats.clock import DAY, NoTimesError
-from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
+from planrunner.instruments.formats.file import AnyFile, NoKeys, TimeStamps, open_samples
 from planrunner.instruments.formats.json_samples import JsonFile, JsonKeys
 from planrunner.instruments.formats.long import LongFile, ReadingColumns
+from planrunner.instruments.formats.novatel import is_raw_imu
 from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextFile, TextKeys
 from planrunner.instruments.formats.workbook import WorkbookKeys, open_workbook, sheet_rows
 from planrunner.instruments.interfaces import InstrumentError
@@ -240,6 +241,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
     for what, magic, advice in _REFUSED:
         if start.startswith(magic):
             raise InstrumentError(f"{name} is {what}: {advice}")
+    if is_raw_imu(start):
+        return Format(type="novatel", parameters=NoKeys())
     if _JSON.match(start):
         return Format(type="json", parameters=JsonKeys())
     if start.startswith((b"\xff\xfe", b"\xfe\xff")):
