@@ -252,7 +252,7 @@ class RecordingParameters(Record):
 
     file: str = key(
         Text(r"[^\x00-\x1f]{1,400}", "a file's path"),
-        "File in the data folder: text, Parquet, MATLAB, NumPy, HDF5, SQLite, ULog, JSON, Excel, TDMS or binary records.",
+        "File in the data folder: text, Parquet, MATLAB, NumPy, HDF5, SQLite, ULog, JSON, Excel, TDMS, NovAtel, ArduPilot or binary.",
         "jig/staircase.parquet",
     )
     kind: str = key(Text(NAME, "a sensor kind"), "Kind of sensor that was recorded.", "imu")

@@ -10,7 +10,7 @@ import json
 import re
 import sqlite3
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from planrunner.base.findings import InputError
 from planrunner.cli import main
 from planrunner.instruments.formats.guessing import guessed_channel
 from planrunner.instruments.recording_look import look_at
+from tests import dataflash_bytes
 
 Array = NDArray[np.float64]
 G = 9.80665
@@ -423,6 +424,16 @@ def tdms(*, waves: bool) -> Write:
     return write
 
 
+def ardupilot(name: str, form: Callable[[Iterable[Sequence[object]]], bytes]) -> Write:
+    def write(folder: Path) -> Path:
+        samples = np.column_stack([GYRO, ACCEL]).astype(np.float32).tolist()
+        times = (1e6 * TIME + 5e6).round().astype(int).tolist()
+        (folder / name).write_bytes(form([(t, *row) for t, row in zip(times, samples, strict=True)]))
+        return folder / name
+
+    return write
+
+
 CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "vectornav": (vectornav, None, "rad/s", "m/s^2"),
     "sbg": (sbg, "us", "deg/s", "m/s^2"),
@@ -473,6 +484,8 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "workbook without dates": (excel_workbook(lambda t: 1000 * t), "ms", "deg/s", "mg"),
     "tdms waveforms": (tdms(waves=True), "s", "deg/s", "g"),
     "tdms with dates": (tdms(waves=False), DATE, "deg/s", "g"),
+    "ardupilot": (ardupilot("r.bin", dataflash_bytes.binary), "us", "rad/s", "m/s^2"),
+    "ardupilot as text": (ardupilot("r.log", dataflash_bytes.text), "us", "rad/s", "m/s^2"),
     "json lines": (json_lines, DATE, "rad/s", "m/s^2"),
     "json list": (json_list("r.log"), "ms", "deg/s", "g"),
     "json document": (json_list("r.json", {"device": {"serial": "7", "axes": [1, 2, 3]}}), "ms", "deg/s", "g"),

@@ -11,6 +11,7 @@ from planrunner.base.findings import Findings, InputError
 from planrunner.instruments.formats.arrays import Hdf5File, MatlabFile, NumpyFile, UlogFile, is_hdf5
 from planrunner.instruments.formats.binary import BinaryFile, BinaryKeys, check_binary
 from planrunner.instruments.formats.database import SqliteFile
+from planrunner.instruments.formats.dataflash import DataflashFile
 from planrunner.instruments.formats.file import AnyFile, TimeStamps, open_samples
 from planrunner.instruments.formats.json_samples import JsonFile
 from planrunner.instruments.formats.long import LongFile, ReadingColumns
@@ -36,6 +37,7 @@ FORMATS: dict[str, type[AnyFile]] = {
     "excel": WorkbookFile,
     "tdms": TdmsFile,
     "novatel": NovatelFile,
+    "dataflash": DataflashFile,
 }
 ENDINGS = {
     ".csv": "text",

@@ -20,6 +20,7 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
+from planrunner.instruments.formats import dataflash
 from planrunner.instruments.formats.choice import ENDINGS, FORMATS, Format, open_file
 from planrunner.instruments.formats.clock import DAY, NoTimesError
 from planrunner.instruments.formats.file import AnyFile, NoKeys, TimeStamps, open_samples
@@ -241,6 +242,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
     for what, magic, advice in _REFUSED:
         if start.startswith(magic):
             raise InstrumentError(f"{name} is {what}: {advice}")
+    if start.startswith(dataflash.BINARY) or re.match(dataflash.TEXT, start):
+        return Format(type="dataflash", parameters=dataflash.DataflashKeys())
     if is_raw_imu(start):
         return Format(type="novatel", parameters=NoKeys())
     if _JSON.match(start):
