@@ -1,15 +1,17 @@
-"""Measures how much smaller the gap becomes (closure). It uses segments with which the effect was neither chosen nor fitted.
+"""Measures the closure: the relative reduction of the gap by an effect. The measurement uses held-out segments, which were not used
+to choose or fit the effect.
 
 Segments are held out in groups. Each group contains segments of every kind of motion, and for each group the effect is chosen again
-from the other segments. The difference d between the predictions with and without the effect is then known exactly. The unknown is
-the gap g itself: its size is |g| before and |g − d| after. The result is an average over the following two cases, weighted by their
-probabilities in the diagnosis.
+from the other segments. The difference d between the predictions with and without the effect is then known exactly. Only the gap g
+is unknown. The size of the gap is |g| without the effect, and |g − d| with it. The result is an average over the following two
+cases, weighted by their probabilities in the diagnosis.
 
-- An effect or pair of the catalogue is the whole cause: g is its signature with amplitudes estimated from all segments. The errors of
-  the amplitudes have the covariance that follows from the noise.
-- Something else acts, additionally or alone. Let r be the held-out residual of the nominal simulation, whitened with the uncertainty
-  of its fitted parameters (r = g + noise). The part of g along d is then measured with unit noise. The size of the other part follows
-  from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability, 2016).
+- An effect or pair of the catalogue is the whole cause. Then g is the signature of this cause, with amplitudes that are estimated
+  from all segments. The errors of the amplitudes have the covariance that follows from the noise.
+- Something else acts, additionally or alone. Let r = g + noise be the held-out residual of the nominal simulation, whitened with
+  the uncertainty of its fitted parameters. The component of g along d is then measured with unit noise. The size of the other
+  component follows from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability,
+  2016).
 
 Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only half and
 twice its level. The level is therefore measured from the residuals that the most probable effects leave: separately for gyros and
@@ -43,26 +45,24 @@ LEVELS = 40  # random levels of the noise, among which the draws for an unknown 
 SEED = 21
 WIDEST = 0.5  # width of an interval above which the closure is not resolvable
 TOLD = 0.5
-"""Least share t of the energy of an effect that the other segments must determine. If t is smaller, the effect shrinks the gap of the
-held-out segments by 1 − √(1 − t) even if it is the whole cause, by 0.29 at this limit. The closure then describes the plan, not the
-effect."""
+"""Smallest fraction t of the energy of an effect that the other segments must determine. Even if the effect is the whole cause, it
+shrinks the gap of the held-out segments only by 1 − √(1 − t), which is 0.29 at this limit. With a smaller t, the closure would
+describe the plan, not the effect."""
 KINDS = ("gyro", "accel")
 FLICKER_LEVELS = (0.0, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)  # relative to the declared level
 SMALLEST = 1e-4  # of the measured variance of the noise, relative to its model
 SHAPES = 6  # number of shapes of an effect besides the best one
 UNLIKELY = 8.0
-"""Nats below the most probable shape at which a shape is left out. n such shapes have a probability of less than n·exp(−8) together,
-0.7 % for the 20 shapes of a refined grid."""
+"""A shape is omitted if its log probability is lower than the log probability of the most probable shape by more than this value
+[nats]. Together, n such shapes have a probability of less than n·exp(−8), which is 0.7 % for the 20 shapes of a refined grid."""
 WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelClosure:
-    """The closure of one channel.
-
-    `before`, `after`: size of the held-out gap in standard deviations of the noise, root mean square over the coefficients.
-    `before_value`, `after_value`: size of this gap in `unit`, root mean square over the samples. `shrinks_by`, `interval_90`: the
-    same quantities as in `Closure`, for this channel.
+    """Contains the closure of one channel. `before`, `after`: size of the held-out gap in standard deviations of the noise, root
+    mean square over the coefficients. `before_value`, `after_value`: size of this gap in `unit`, root mean square over the samples.
+    `shrinks_by`, `interval_90`: the same quantities as in `Closure`, for this channel.
     """
 
     channel: str
@@ -104,8 +104,8 @@ class Closure:
     `before`, `after`: size of the held-out gap without and with the effects, in standard deviations of the noise, root mean square
     over coefficients. `shrinks_by`: relative reduction, 1 for a closed gap. `interval_90`: 90 % interval of `shrinks_by`. `reason`:
     why the data do not determine the reduction (all numbers are then NaN), or None. `channels`: one entry for each channel whose
-    data determine the reduction. `unpredicted`: named effects whose part of the gap remains, because the other segments cannot
-    predict it. `repetition`: if the reason is `NOT_REPEATED`, the reduction in a repetition of the same segments, or None if the data
+    data determine the reduction. `unpredicted`: named effects that the other segments cannot predict; their part of the gap
+    remains. `repetition`: if the reason is `NOT_REPEATED`, the reduction in a repetition of the same segments, or None if the data
     do not determine it.
     """
 
@@ -175,11 +175,10 @@ class MeasuredNoise:
 
 @dataclass(frozen=True)
 class Amplitudes:
-    """Amplitudes that are fitted to all segments.
-
-    `mean`: array of shape (p,), mean of the amplitudes. `roots`: array of shape (groups + 1, p, p), one root of the covariance for
-    the errors that each noise group causes, and a last one for the prior. `degrees`: array of shape (groups + 1,), degrees of
-    freedom of each root, as in `MeasuredNoise`, and infinite for the prior.
+    """Contains the amplitudes that are fitted to all segments. `mean`: array of shape (p,), mean of the amplitudes. `roots`: array
+    of shape (groups + 1, p, p), one root of the covariance for the errors that each noise group causes, and one further root for
+    the prior. `degrees`: array of shape (groups + 1,), degrees of freedom of each root, as in `MeasuredNoise`, and infinite for the
+    prior.
     """
 
     mean: Array
@@ -197,9 +196,9 @@ class Amplitudes:
 
 @dataclass(frozen=True)
 class KnownCause:
-    """A cause from the catalogue. d is the difference between the predictions with and without the chosen effect. `gram`: array of
-    shape (p, p), inner products of the held-out signatures of the cause with each other. `along`: array of shape (p,), inner
-    products of these signatures with d."""
+    """Describes a cause from the catalogue. Let d be the difference between the predictions with and without the chosen effect.
+    `gram`: array of shape (p, p), inner products of the held-out signatures of the cause with each other. `along`: array of shape
+    (p,), inner products of these signatures with d."""
 
     probability: float
     gram: Array = field(repr=False)
@@ -209,12 +208,12 @@ class KnownCause:
 
 @dataclass(frozen=True)
 class _Fold:
-    """The held-out coefficients (rows) of one fold, which is a group of segments.
+    """Contains the held-out coefficients (rows) of one fold, which is a group of segments.
 
     `channel`, `group`: arrays of shape (m,), channel and noise group (as in `MeasuredNoise`) of each row. `residual`: array of
     shape (m,), whitened residuals of the nominal simulation. `difference`: array of shape (m,), whitened change of the prediction
-    by the chosen effect. `signatures`: one array (m, p) for each choice. `told`: one information matrix (p, p) for each choice. It
-    shows how well the other segments determine the amplitudes of the choice.
+    by the chosen effect. `signatures`: one array (m, p) for each choice. `told`: one information matrix (p, p) for each choice. The
+    matrix shows how well the other segments determine the amplitudes of the choice.
     """
 
     channel: NDArray[np.int64]
@@ -347,9 +346,10 @@ def _repetition(
     beyond: float,
     named: str,
 ) -> Repetition | None:
-    """By how much the most probable form of the named effect or set, fitted to all segments, would reduce the gap in a repetition of
-    these segments, in which only the noise differs; None if the data do not determine this. The nominal parameters are fitted to
-    each repetition. `amplitudes`: those of each choice; `shares`: the probabilities of the choices."""
+    """Returns the expected reduction of the gap in a repetition of the same segments, in which only the noise differs. The most
+    probable form of the named effect or set is fitted to all segments. The result is None if the data do not determine the
+    reduction. The nominal parameters are fitted to each repetition. `amplitudes`: those of each choice; `shares`: the probabilities
+    of the choices."""
     fits = _fits(weighing, noise, [replace(choice, point=None) for choice in choices])
     own = np.array([choice.effect == named for choice in choices])
     ranks = shares if shares[own].any() else np.array([fit.log_bayes for fit in fits])
@@ -370,7 +370,7 @@ def _repetition(
 
 def _projected_change(fit: _Fit, choice: FoldChoice) -> Array:
     """Returns the change of the whitened signature of an effect on the output, per change of each nominal parameter, over all
-    channels, shape (m, q); without columns for other effects."""
+    channels, shape (m, q). For other effects, the result has no columns."""
     from scipy.linalg import block_diag
 
     changes = [] if choice.point is None else choice.point.change
@@ -477,9 +477,9 @@ def _with_measured_flicker(
 
 @dataclass(frozen=True)
 class _Fit:
-    """A choice fitted to all segments. gram (p, p) and score (p,) are sums over all channels; rows and columns have one whitened
-    entry for each channel. `amplitudes`: the amplitudes of the choice; if it has an operating point, also the nominal parameters minus
-    those of the operating point."""
+    """Contains a choice that was fitted to all segments. gram (p, p) and score (p,) are sums over all channels. Rows and columns
+    have one whitened entry for each channel. `amplitudes`: the amplitudes of the choice; if it has an operating point, also the
+    nominal parameters minus those of the operating point."""
 
     gram: Array
     score: Array
@@ -624,8 +624,8 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold]) -> float:
-    """Of an effect's energy in the held-out segments, the fraction that the other segments determine if the amplitudes have the
-    estimated size. The fraction is 0 if only one segment shows the effect."""
+    """Returns a fraction of the effect's energy in the held-out segments: the fraction that the other segments determine, if the
+    amplitudes have the estimated size. The fraction is 0 if only one segment shows the effect."""
     size = best_scales(fit.gram, fit.score, widths)
     shown = left = 0.0
     for fold in folds:
@@ -767,8 +767,8 @@ def _moving(used: Sequence[_Rows], point: OperatingPoint, held: NDArray[np.bool_
 
 
 def _all_shown(widths: Sequence[int], used: Array, held: Array) -> bool:
-    """Returns True if the segments that are used for the fit show every effect of a choice; otherwise rounding errors would
-    determine an amplitude.
+    """Returns True if the segments that are used for the fit show every effect of a choice. Without this condition, rounding errors
+    could determine an amplitude.
 
     `used`, `held`: arrays of shape (p,), energy of each column in the used and in the held-out segments, without the part that the
     nominal parameters absorb."""
@@ -778,7 +778,8 @@ def _all_shown(widths: Sequence[int], used: Array, held: Array) -> bool:
 
 
 class _Rows:
-    """The chosen coefficients of one channel, whitened, from which the part that the nominal parameters explain has been removed."""
+    """Contains the chosen coefficients of one channel after whitening. The part that the nominal parameters explain has been
+    removed."""
 
     def __init__(
         self,
@@ -819,8 +820,8 @@ class _Rows:
         return whitened - self.basis @ (self.basis.T @ whitened)
 
     def moved(self, values: Array) -> Array:
-        """Returns the fitted nominal parameters (q,) minus `values` (q,), in the directions that the rows determine. `values`
-        belong to the first q nominal columns."""
+        """Returns the difference between the fitted nominal parameters (q,) and `values` (q,), in the directions that the rows
+        determine. `values` belong to the first q nominal columns."""
         left = self.whiten((self.values - self.nominal[:, : len(values)] @ values)[self.chosen])
         return np.asarray((self.parameters @ (self.basis.T @ left))[: len(values)])
 
@@ -828,9 +829,9 @@ class _Rows:
         """Returns the held-out residual (m,) of a prediction without effects, and the change (m, p) of the prediction that the
         signatures (M, p) cause, both whitened.
 
-        The nominal parameters are fitted to the chosen rows, once without and once with the effect. Their covariance adds to the
-        held-out noise: if U is the whitened root of this covariance, the factor (I + UUᵀ)^−½ changes only components in the span of
-        U. Directions that the chosen rows do not determine are projected out.
+        The nominal parameters are fitted to the chosen rows, once without and once with the effect. The covariance of these
+        parameters is added to the held-out noise. Let U be the whitened root of this covariance. The factor (I + UUᵀ)^−½ then
+        changes only components in the span of U. Directions that the chosen rows do not determine are projected out.
         """
         both = np.column_stack([self.values, signatures])
         fitted = self.parameters @ (self.basis.T @ self.whiten(both[self.chosen]))
