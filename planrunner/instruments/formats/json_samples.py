@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.dataclass import dataclass
-from planrunner.base.findings import closest, count_of
+from planrunner.base.findings import closest
 from planrunner.instruments.formats.file import (
     MAX_COLUMNS,
     FormatFile,
@@ -42,6 +42,8 @@ _CLEARLY = 10  # times the length of the next list, for a list that contains the
 _PER_TEXT = 10  # numbers that need as much memory as a text
 
 Step = str | int
+_ABSENT = object()
+"""Stands for a value that a sample does not contain; None is a missing number."""
 
 
 class JsonKeys(Record):
@@ -75,7 +77,7 @@ class JsonFile(FormatFile[JsonKeys]):
     def __init__(self, path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], parameters: JsonKeys):
         super().__init__(path, name, stamps, channels, parameters)
         self._layout: _Layout | None = None
-        self._others, self._truncated = 0, False
+        self._truncated = False
         self._deciding: tuple[str, ...] = ()
 
     def deciding(self, columns: Sequence[str]) -> JsonFile:
@@ -86,8 +88,7 @@ class JsonFile(FormatFile[JsonKeys]):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        others = f"{count_of(self._others, 'sample')} without a channel of the recording"
-        return (*([others] if self._others else []), *(["an incomplete sample at the end"] if self._truncated else []))
+        return ("an incomplete sample at the end",) if self._truncated else ()
 
     def columns(self) -> list[str]:
         layout = self._known()
@@ -121,7 +122,7 @@ class JsonFile(FormatFile[JsonKeys]):
         if layout.held is not None:
             yield from self._held_batches(layout.held)
             return
-        self._others, first = 0, 1
+        first = 1
         with self._scanner() as scanner:
             samples = self._with_channels(scanner)
             while rows := list(itertools.islice(samples, ROWS)):
@@ -150,17 +151,13 @@ class JsonFile(FormatFile[JsonKeys]):
             yield from scanner.records()
 
     def _with_channels(self, scanner: JsonScanner) -> Iterator[object]:
-        """Yields the samples that contain a number of at least one channel."""
-        for sample in self._samples(scanner):
-            if self._has_channel(sample):
-                yield sample
-            else:
-                self._others += 1
+        """Yields the samples that contain at least one channel."""
+        return (sample for sample in self._samples(scanner) if self._has_channel(sample))
 
     def _has_channel(self, sample: object) -> bool:
         columns = self._known().columns
         names = self._deciding or self.channels.values() or self.wanted
-        return any(_at(sample, columns[name]) is not None for name in names)
+        return any(_at(sample, columns[name], _ABSENT) is not _ABSENT for name in names)
 
     def _placed(self, scanner: JsonScanner) -> Iterator[tuple[str, object]]:
         """Yields the samples that contain a channel, each with its place in the file."""
@@ -355,16 +352,16 @@ def _collect(value: object, name: str, path: tuple[Step, ...], columns: dict[str
         columns.setdefault(name, path)
 
 
-def _at(sample: object, path: Sequence[Step]) -> object:
-    """Returns the value to which the keys and positions of `path` lead; None if the sample does not contain it."""
+def _at(sample: object, path: Sequence[Step], absent: object = None) -> object:
+    """Returns the value to which the keys and positions of `path` lead; `absent` if the sample does not contain it."""
     for step in path:
         if isinstance(step, str):
-            if not isinstance(sample, dict):
-                return None
-            sample = sample.get(step)
+            if not (isinstance(sample, dict) and step in sample):
+                return absent
+            sample = sample[step]
         else:
             if not (isinstance(sample, list) and step < len(sample)):
-                return None
+                return absent
             sample = sample[step]
     return sample
 
