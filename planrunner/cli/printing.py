@@ -116,7 +116,7 @@ WIDE = 160
 """Number of columns if the output is not a terminal."""
 
 EXCERPTS = ContextVar("EXCERPTS", default=True)
-"""Whether findings are printed with their source line (`--no-excerpt`)."""
+"""True if findings are printed with their source line. `--no-excerpt` sets it to False."""
 
 
 def columns(stream: TextIO) -> int:

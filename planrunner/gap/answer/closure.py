@@ -348,8 +348,8 @@ def _repetition(
 ) -> Repetition | None:
     """Returns the expected reduction of the gap in a repetition of the same segments, in which only the noise differs. The most
     probable form of the named effect or set is fitted to all segments. The result is None if the data do not determine the
-    reduction. The nominal parameters are fitted to each repetition. `amplitudes`: those of each choice; `shares`: the probabilities
-    of the choices."""
+    reduction. The nominal parameters are fitted to each repetition. `amplitudes`: the amplitudes of each choice. `shares`: the
+    probabilities of the choices."""
     fits = _fits(weighing, noise, [replace(choice, point=None) for choice in choices])
     own = np.array([choice.effect == named for choice in choices])
     ranks = shares if shares[own].any() else np.array([fit.log_bayes for fit in fits])
@@ -478,8 +478,8 @@ def _with_measured_flicker(
 @dataclass(frozen=True)
 class _Fit:
     """Contains a choice that was fitted to all segments. gram (p, p) and score (p,) are sums over all channels. Rows and columns
-    have one whitened entry for each channel. `amplitudes`: the amplitudes of the choice; if it has an operating point, also the
-    nominal parameters minus those of the operating point."""
+    have one whitened entry for each channel. `amplitudes`: the amplitudes of the choice; if the choice has an operating point, also
+    the nominal parameters minus the nominal parameters of the operating point."""
 
     gram: Array
     score: Array
