@@ -23,5 +23,5 @@ def test_one_of_48_rates_with_a_wrong_label_is_named() -> None:
     site = Site(latitude=0.7, gravity=9.80665)
     request = EstimateRequest("line", recorded, ScaleFactorParameters(), site, sensor("gyro_z", unit="deg/s"))
     warnings = ScaleFactor().estimate(request).warnings
-    assert [text for text in warnings if "'R30' does not fit the others" in text]
-    assert not [text for text in warnings if "does not fit the others" in text and "'R30'" not in text]
+    assert [text for text in warnings if "'R30' does not fit the other segments" in text]
+    assert not [text for text in warnings if "does not fit the other segments" in text and "'R30'" not in text]

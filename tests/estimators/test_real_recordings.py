@@ -60,7 +60,7 @@ def test_staircase_scale_factors() -> None:
         assert abs(offset.value - bias) <= 2.571 * offset.standard_uncertainty, offset
     assert lsm["F0_lsm_gyro_z"].value == pytest.approx(-4.9, abs=0.1)
     # The jig's resonances make the residual far larger than the noise: the page must say so.
-    assert any("Something changes from segment to segment" in warning for warning in lsm.warnings)
+    assert any("something changes from segment to segment" in warning for warning in lsm.warnings)
 
 
 def test_gyro_declared_in_the_wrong_unit_is_named() -> None:

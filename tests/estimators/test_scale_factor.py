@@ -127,7 +127,7 @@ def test_part_between_segments_makes_chi_square_one() -> None:
     found, equal = fitted(recorded), fitted(recorded, weights="equal")
     assert found["K_gyro"].value == pytest.approx(equal["K_gyro"].value, abs=0.1 * equal["K_gyro"].standard_uncertainty)
     assert found["K_gyro"].standard_uncertainty == pytest.approx(equal["K_gyro"].standard_uncertainty, rel=0.05)
-    assert any("added as scatter between segments" in note for note in found.notes)
+    assert any("include scatter between segments" in note for note in found.notes)
 
 
 def test_an_output_that_never_changes_has_no_asymmetry() -> None:
