@@ -11,6 +11,7 @@ from scipy.stats import binom
 from planrunner.error_model.effects.gyro_output import GyroDeadZone, GyroSaturation
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import closure, measured_noise, predictions, whole_choices
+from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import whole_forms
 from planrunner.gap.hypotheses.operating_point import operating_point, settled
@@ -101,8 +102,8 @@ def test_nominal_parameters_are_fitted_together_with_a_limit() -> None:
         assert seen.fitted is not None
         return float((np.abs(seen.fitted - true)[slow][:, gyros] / size).max())
 
-    assert away(weighing.seen(taken)) > 30
-    assert away(settled(weighing, effect, 85.0, taken)) < 3
+    assert away(weighing.seen(weighing.nominal_values(taken))) > 30
+    assert away(weighing.seen(settled(weighing, effect, 85.0, weighing.nominal_values(taken)))) < 3
 
 
 def test_a_limit_cuts_the_noise_too() -> None:
@@ -121,3 +122,13 @@ def test_a_limit_cuts_the_noise_too() -> None:
     np.testing.assert_allclose(column.parts[1][:41], -np.array(expected), atol=0.01 * sigma)
     (sharp,) = GyroSaturation().at(replace(at, scatter=None), 89.5).columns
     np.testing.assert_allclose(sharp.parts[0][:41], np.minimum(limit - outputs, 0.0), atol=1e-12)
+
+
+@pytest.mark.parametrize("limit", [60.0, 85.0, 89.9])
+def test_readings_that_stand_at_a_limit_are_not_taken_for_precise_ones(limit: float) -> None:
+    """At the limit, the readings have no noise. If they counted as precise, they alone would determine the nominal parameters."""
+    recorded, _ = _limited(5, limit * DEG)
+    found = diagnose(recorded)
+    assert found.verdict.effects == ("gyro_saturation",)
+    (one,) = found.parameters
+    assert abs(one.value - limit) < 3 * one.standard_uncertainty

@@ -38,6 +38,9 @@ _SEGMENTS = 4  # segments with such a band from which the scatter between segmen
 _VARIOUS = 4.0  # degrees of freedom of the scatter between segments, at least
 _SAME = 1e3  # degrees of freedom from which on the segments count as alike
 _NARROW = 4.0  # degrees of freedom with which the noise near the frequency of a harmonic can be measured
+_STANDING = 0.1
+"""Part of the median level of all segments that the level of a segment is at least. A limited or stuck output has little noise or none,
+but it is not more precise than other outputs."""
 _SMALLEST = (
     1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
 )
@@ -176,6 +179,7 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
     shape = (2, len(centre), len(white))
     spectra, coloured = np.ones(shape), np.zeros((2, len(white)), dtype=bool)
     level, differing = np.ones((len(observed), len(white))), np.zeros(len(white), dtype=bool)
+    standing = np.zeros(level.shape, dtype=bool)
     of_segment, typical = np.maximum(count.sum(1), 1e-9), _typical(observed, spectrum) / np.maximum(white, 1e-300) ** 2
     upper = spectrum.edges[:-1][used] > UPPER * observed.sample_rate
     for channel, _ in product(range(len(white)), range(_ROUNDS)):
@@ -196,13 +200,17 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
             spectra[kind, :, channel] = shape_ if coloured[kind, channel] else 1.0
         expected = (count * spectra[moving, :, channel]).sum(1) / of_segment
         each = np.maximum(typical[:, channel] / np.maximum(expected, _SMALLEST), _SMALLEST)
+        least = _STANDING * float(np.median(each))
+        standing[:, channel] = each < least
+        each = np.maximum(each, least)
         differing[channel] = _better(each, _EFFICIENCY * of_segment)
         level[:, channel] = each if differing[channel] else 1.0
     predicted = level[:, None] * spectra[moving]
     own = np.ones_like(predicted)
     for channel in np.flatnonzero(differing).tolist():
-        for index, (seen, size) in enumerate(zip(energy[:, :, channel] / predicted[:, :, channel], count, strict=True)):
-            own[index, :, channel] = _carried(seen, size, 1.0, OWN)
+        for index in np.flatnonzero(~standing[:, channel]).tolist():
+            seen = energy[index, :, channel] / predicted[index, :, channel]
+            own[index, :, channel] = _carried(seen, count[index], 1.0, OWN)
     for kind, channel in np.argwhere(coloured & ~differing).tolist():
         here = np.flatnonzero(moving == kind)
         for band in range(len(centre)):

@@ -299,9 +299,10 @@ class Weighing:
             found.append(values[: nominal.shape[1]])
         return found
 
-    def fitted(self, taken: Sequence[Array] | None = None) -> Array:
-        """Returns the output of the nominal model with the `nominal_values`, shape (N, K)."""
-        return self.output_at(self.nominal_values(taken))
+    def fitted(self, values: Sequence[Array] | None = None) -> Array:
+        """Returns the output of the nominal model, shape (N, K). `values`: the same as in `output_at`; by default, the nominal
+        parameters are fitted without any effect."""
+        return self.output_at(self.nominal_values() if values is None else values)
 
     def output_at(self, values: Sequence[Array]) -> Array:
         """Returns the output (N, K), SI, of the nominal model. `values`: for each channel, the values of its nominal parameters in
@@ -313,10 +314,18 @@ class Weighing:
                 out[:, index] += column.parts[index] * (column.magnitude * value)
         return out
 
-    def seen(self, taken: Sequence[Array] | None = None) -> Observed:
+    def samples_of(self, channel: int) -> Array:
+        """Returns the samples (N, q) of the columns of a channel's nominal parameters, SI per magnitude, in the order of `whole`."""
+        own = [column for column in self.nominal_columns if channel in column.parts]
+        found = np.empty((len(self.observed.time), len(own)))
+        for place, column in enumerate(own):
+            np.multiply(column.parts[channel], column.magnitude, out=found[:, place])
+        return found
+
+    def seen(self, values: Sequence[Array] | None = None) -> Observed:
         """Returns the recording, extended by the fitted output of the nominal model and the fitted response of each channel to the
-        rate. `taken`: the same as in `fitted`."""
-        observed, fitted = self.observed, self.fitted(taken)
+        rate. `values`: the same as in `fitted`."""
+        observed, fitted = self.observed, self.fitted(values)
         if observed.along is not None:
             return replace(observed, fitted=fitted)
         axes = np.eye(3)[[channel.axis for channel in observed.channels]]

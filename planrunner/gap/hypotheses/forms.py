@@ -94,7 +94,10 @@ def _along_secants(
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])
         amplitudes = best.amplitudes[0]
-        along, seen = effect.secant(amplitudes * size), weighing.seen([raw @ amplitudes for raw in best.raw])
+        along, seen = (
+            effect.secant(amplitudes * size),
+            weighing.seen(weighing.nominal_values([raw @ amplitudes for raw in best.raw])),
+        )
         coarse = [item for item in weighing.weigh(along.variants(seen)) if item.trace > 0]
         if len(coarse) < 3:
             break
@@ -110,9 +113,11 @@ def _resettled(
 ) -> tuple[list[Weighed], Array]:
     """Evaluates a strong effect on the output of the sensor again: the nominal parameters are fitted together with the effect's
     best form, and the effect is evaluated at the output that results. The evaluation is repeated as long as it explains more."""
+    values: Sequence[Array] | None = None
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
-        seen = _seen(weighing, effect, best)
+        values = _together(weighing, effect, best, values)
+        seen = weighing.seen(values)
         forms = [effect.at(seen, float(value)) for value in effect.grid(seen)]
         coarse = [item for item in weighing.weigh(forms) if item.can_be_seen]
         if len(coarse) < 3:
@@ -124,14 +129,13 @@ def _resettled(
     return usable, log_bayes
 
 
-def _seen(weighing: Weighing, effect: Shaped, best: Weighed) -> Observed:
-    """Returns the recording with the nominal output that results if the nominal parameters are fitted together with an effect of
-    amplitude 1. `best`: the form of the effect."""
-    taken = [raw[:, 0] for raw in best.raw]
-    acting = on_output(effect)
-    return (
-        weighing.seen(taken) if acting is None else settled(weighing, acting, float(best.variant.shape or 0.0), taken)
-    )
+def _together(weighing: Weighing, effect: Shaped, best: Weighed, values: Sequence[Array] | None) -> list[Array]:
+    """Returns the nominal parameters, fitted together with an effect of amplitude 1. `best`: the form of the effect. `values`: nominal
+    parameters at which the fit may start, None if none are known."""
+    acting, taken = on_output(effect), [raw[:, 0] for raw in best.raw]
+    if acting is None or values is None:
+        values = weighing.nominal_values(taken)
+    return list(values) if acting is None else settled(weighing, acting, float(best.variant.shape or 0.0), values)
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
@@ -200,6 +204,7 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
     that were fitted for it."""
     seen, found, before = weighing.observed, np.nan, np.nan
     likeliest = (-np.inf, seen, np.nan, np.nan)
+    values: Sequence[Array] | None = None
     for _ in range(_STEPS):
         shape, sigma = _most_probable(weighing, effect, seen, found)
         (best,) = weighing.weigh([effect.at(seen, shape)])
@@ -210,7 +215,8 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
             _, seen, shape, sigma = likeliest
             break
         found, before = shape, found
-        seen = _seen(weighing, effect, best)
+        values = _together(weighing, effect, best, values)
+        seen = weighing.seen(values)
     else:
         _, seen, shape, sigma = likeliest
     near = shape * np.exp(sigma * np.linspace(-_SPAN, _SPAN, _FORMS))

@@ -15,7 +15,6 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import ChangesWithinSegments, Effect, Shaped
-from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import Weighing
 
@@ -50,53 +49,62 @@ def operating_point(
 ) -> OperatingPoint:
     """Computes how an effect on the output changes with the nominal parameters.
 
-    `shape`, `amplitude`: shape and amplitude of the effect. `taken`: for each channel, the part (M,) of the coefficients that the
-    effect explains if it is fitted together with the nominal parameters; None if these are fitted without the effect.
+    `shape`, `amplitude`: shape and amplitude of the effect. `taken`: for each channel, the coefficients (M,) that the effect causes,
+    if it is fitted together with the nominal parameters; None if these are fitted without the effect.
     """
-    values, seen = weighing.nominal_values(taken), weighing.seen(taken)
-    steps = [_uncertainty(weighing, channel) for channel in range(len(values))]
-    change = [np.zeros_like(columns) for columns in weighing.whole]
-    for j in range(max(map(len, values))):
-        more, less = (
-            coefficients_of(
-                seen, weighing.spectrum, effect.at(replace(seen, fitted=weighing.output_at(moved)), shape).columns
-            )
-            for moved in (_moved(values, steps, j, sign) for sign in (1.0, -1.0))
-        )
-        for channel, step in enumerate(steps):
-            if j < len(step) and step[j] > 0:
-                difference = (more[channel] - less[channel]).sum(axis=1)
-                change[channel][:, j] = difference * (amplitude / (2 * step[j]))
+    values = weighing.nominal_values(taken)
+    if taken is not None:
+        values = settled(weighing, effect, shape, values, amplitude)
+    change = _changes(weighing, effect, shape, values, amplitude)
     return OperatingPoint(tuple(values), tuple(weighing.whole), tuple(change))
 
 
-def settled(weighing: Weighing, effect: Shaped, shape: float, taken: Sequence[Array]) -> Observed:
-    """Fits the nominal parameters together with an effect on the output, and returns the recording with the fitted output
-    (`Weighing.seen`).
+def settled(
+    weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], amplitude: float = 1.0
+) -> list[Array]:
+    """Fits the nominal parameters together with an effect on the output. Returns the values of the parameters of each channel.
 
-    `taken`: for each channel, the coefficients (M,) that the effect causes at the nominal parameters of the preceding fit. A fit to
-    the data minus `taken` would converge slowly: in segments with a limited output, it would keep the scale factor of the preceding
-    fit. Therefore, the fit includes the change of the effect with the parameters (Gauss–Newton).
+    `values`: values of the nominal parameters at which the fit starts. A repeated fit to the data without the effect would converge
+    slowly: where the output is limited, it would keep the scale factor of the preceding fit. Therefore the change of the effect
+    with the parameters is taken into account (Gauss–Newton, with the derivatives at the start).
     """
+    found, change = list(values), _changes(weighing, effect, shape, values, amplitude)
     for _ in range(_STEPS):
-        point = operating_point(weighing, effect, shape, taken)
-        seen = weighing.seen(taken)
-        caused = [raw.sum(axis=1) for raw in coefficients_of(seen, weighing.spectrum, effect.at(seen, shape).columns)]
-        fixed = [own - change @ at for own, change, at in zip(caused, point.change, point.values, strict=True)]
-        fitted = weighing.nominal_values(fixed, point.change)
-        before = taken
-        taken = [own + change @ values for own, change, values in zip(fixed, point.change, fitted, strict=True)]
-        away = [
-            (new - old) / weighing.white[channel] for channel, (new, old) in enumerate(zip(taken, before, strict=True))
+        caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(weighing.seen(found), shape).columns)
+        fixed = [raw.sum(axis=1) * amplitude - own @ at for raw, own, at in zip(caused, change, found, strict=True)]
+        before, found = found, weighing.nominal_values(fixed, change)
+        moved = [
+            whole @ (new - old) / white
+            for whole, new, old, white in zip(weighing.whole, found, before, weighing.white, strict=True)
         ]
-        if max(float(part @ part) for part in away) < _STILL**2:
+        if max(float(part @ part) for part in moved) < _STILL**2:
             break
-    return weighing.seen(taken)
+    return found
 
 
-def _moved(values: Sequence[Array], steps: Sequence[Array], j: int, sign: float) -> list[Array]:
-    """Returns the nominal parameters of all channels after parameter number j of each channel has been changed by its step."""
-    return [own + sign * np.where(np.arange(len(own)) == j, step, 0.0) for own, step in zip(values, steps, strict=True)]
+def _changes(
+    weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], amplitude: float
+) -> list[Array]:
+    """Returns, for each channel, the change (M, q) of the effect per magnitude of each nominal parameter. An effect on the output is a
+    function of the nominal output alone, so its derivative is the product of two derivatives."""
+    seen, output, step = weighing.seen(values), weighing.output_at(values), _steps(weighing)
+    (more,), (less,) = (effect.at(replace(seen, fitted=output + sign * step), shape).columns for sign in (1.0, -1.0))
+    change = [np.zeros_like(whole) for whole in weighing.whole]
+    for channel in sorted(more.parts.keys() & less.parts.keys()):
+        rise, run = more.parts[channel] - less.parts[channel], 2 * step[:, channel]
+        slope = np.divide(rise, run, out=np.zeros(len(run)), where=run > 0)
+        if slope.any():
+            samples = slope[:, None] * weighing.samples_of(channel)
+            change[channel] = weighing.spectrum.project(weighing.observed, samples) * amplitude
+    return change
+
+
+def _steps(weighing: Weighing) -> Array:
+    """Returns the standard uncertainty (N, K) of each nominal output that follows from those of the nominal parameters."""
+    channels = range(len(weighing.whole))
+    return np.column_stack(
+        [np.sqrt(weighing.samples_of(channel) ** 2 @ _uncertainty(weighing, channel) ** 2) for channel in channels]
+    )
 
 
 def _uncertainty(weighing: Weighing, channel: int) -> Array:
