@@ -306,8 +306,9 @@ def test_few_segments_give_an_answer_or_an_error(tmp_path, count):
 
 
 def rising(sensed):
-    """A gyro bias that rises by 0.02 deg/s in two minutes."""
-    return 0 * sensed.rate + np.array([0.02, 0.0, 0.0]) * (sensed.time[:, None] - 600) / 120, 0 * sensed.force
+    """A gyro bias that changes by 0.1 deg/s, with a time constant of five minutes from power-on."""
+    decay = np.exp(-(sensed.time[:, None] - 600) / 300)
+    return 0 * sensed.rate - np.array([0.1, 0.0, 0.0]) * decay, 0 * sensed.force
 
 
 def test_cutting_two_long_segments_makes_a_diagnosis_possible(tmp_path):
