@@ -13,7 +13,7 @@ import pytest
 from planrunner.estimators.interface import Estimate
 from tests.worlds.campaigns import CAMPAIGNS
 from tests.worlds.coverage import estimated, known, recorded
-from tests.worlds.faults import WORLDS, Recorded
+from tests.worlds.faults import WORLDS
 
 CLEAN = WORLDS["white noise"]
 
@@ -32,7 +32,7 @@ def made(estimator: str, fault: bool, outliers: str = "exclude") -> Estimate | s
         row = np.searchsorted(data.time, data.time[data.step == 1][0] + 61.0) if estimator == ROCKING else 1000
         values[row, 0] += 1000 * data.white[0]
     sound = replace(sound, plan=replace(sound.plan, estimates=estimates))
-    return estimated(campaign, sound, Recorded(data.time, data.step, values, data.white, data.mean, data.sampling))
+    return estimated(campaign, sound, replace(data, values=values))
 
 
 @pytest.mark.parametrize("estimator", [*EACH, pytest.param(ROCKING, marks=pytest.mark.slow)])
