@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
+from planrunner.gap.hypotheses.bursts import BURSTS, _of_short_windows, _summed
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import PLAIN, TONE, competitors
+from planrunner.gap.hypotheses.open_set import PLAIN, TONE, competitors, outside
 from planrunner.gap.hypotheses.patterns import WHOLE, Sort
 from planrunner.plan.schedule import Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Array, Fault, G, record
@@ -224,3 +225,25 @@ def test_a_random_walk_is_found_far_below_the_noise_of_a_sample() -> None:
     ]
     assert np.mean(right) > 0.5
     assert min(right) > 0.05
+
+
+def mixed(observed: Observed, draw: np.random.Generator) -> Array:
+    """Noise with a kurtosis of 9.75: four fifths of the values are small."""
+    shape = observed.values.shape
+    return np.asarray(draw.standard_normal(shape) * np.where(draw.random(shape) < 0.8, 0.5, 2.0))
+
+
+def test_noise_with_many_small_values_holds_no_bursts() -> None:
+    """The energy of such noise varies more from window to window, which is no sign of bursts."""
+    spread, evidence = {}, []
+    for noise in (white(1.0), mixed):
+        weighing = Weighing(noisy(noise, None, 6))
+        remainder = weighing.spectrum.remainder / weighing.white
+        sums = _summed(remainder), _summed(remainder**2)
+        within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
+        spread[noise] = _of_short_windows(weighing, sums, within)
+        evidence.append(float(outside(weighing).log_bayes[BURSTS].max()))
+    normal, heavy = spread.values()
+    assert 0.7 < normal.min() <= normal.max() < 1.3
+    assert heavy.min() > 1.8  # (kurtosis − 1)/2 = 4.4 for the variance; less for the median deviation
+    assert max(evidence) < 3

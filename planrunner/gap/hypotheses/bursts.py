@@ -52,13 +52,24 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
     )
     sums = _summed(remainder), _summed(remainder**2)
     within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
+    inefficiency = np.maximum(weighing.noise.inefficiency, _of_short_windows(weighing, sums, within))
     for length in LENGTHS:
         size = round(length * observed.sample_rate / float(observed.bin_size.max()))
         for begin in (0, size // 2):
             windows = _windows(weighing, within, size, begin) if size >= FEWEST else None
             if windows is not None:
-                found.append(_evidence(sums, windows, size, scopes, weighing.noise.inefficiency))
+                found.append(_evidence(sums, windows, size, scopes, inefficiency))
     return log_mean_exp(np.array(found), 0) if found else np.full(len(scopes), -np.inf)
+
+
+def _of_short_windows(weighing: Weighing, both: tuple[Array, Array], within: Mapping[int, Array]) -> Array:
+    """Returns the overdispersion (K,) of the energies of the shortest windows. Noise with many small values and a few large ones has
+    a large overdispersion. There are many short windows, so they show it more precisely than longer windows do. `both`: the same
+    as in `_evidence`."""
+    windows = _windows(weighing, within, FEWEST, 0)
+    if windows is None:
+        return np.ones(len(weighing.white))
+    return _overdispersion(_normalised(both, windows, FEWEST)[1], FEWEST - 1.0)
 
 
 def _summed(values: Array) -> Array:
@@ -97,6 +108,20 @@ def _evidence(
     """Returns the log Bayes factor of bursts, from windows of one size, shape (scopes,). `both`: cumulative sums of the samples in
     units of the noise, and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which
     coloured noise reduces the degrees of freedom of a sum of squares."""
+    mean, rest = _normalised(both, windows, size)
+    offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
+    noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1))
+    noisier /= np.maximum(inefficiency, _overdispersion(rest, size - 1.0))[:, None]
+    found = np.empty((len(scopes), 3))
+    for row, scope in enumerate(scopes):
+        forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
+        found[row] = [_here_and_there(form) for form in forms]
+    return log_mean_exp(found, 1)
+
+
+def _normalised(both: tuple[Array, Array], windows: _Windows, size: int) -> tuple[Array, Array]:
+    """Returns the energies of the mean and of the remaining scatter of each window, each of shape (W, K). They are divided by the
+    median of windows in segments of equal length, if this median exceeds that of white noise."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size
@@ -106,14 +131,7 @@ def _evidence(
         alike = windows.lasting == lasting
         mean[alike] /= np.maximum(np.median(mean[alike], axis=0) / _MEDIAN, 1.0)
         rest[alike] /= np.maximum(np.median(rest[alike], axis=0) / (size - 1), 1.0)
-    offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
-    noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1))
-    noisier /= np.maximum(inefficiency, _overdispersion(rest, size - 1.0))[:, None]
-    found = np.empty((len(scopes), 3))
-    for row, scope in enumerate(scopes):
-        forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
-        found[row] = [_here_and_there(form) for form in forms]
-    return log_mean_exp(found, 1)
+    return mean, rest
 
 
 def _overdispersion(energy: Array, degrees: float) -> Array:
