@@ -14,6 +14,7 @@ from planrunner.gap.answer.closure import (
     Amplitudes,
     Closure,
     KnownCause,
+    NoiseLevels,
     NotMeasured,
     closure,
     dealt_by_motion,
@@ -120,18 +121,37 @@ def test_few_residuals_give_wide_errors() -> None:
 def test_few_residuals_of_the_noise_widen_the_interval_of_any_gap(coefficients: int) -> None:
     """The level of the noise comes from six residuals. 90 % intervals hold the truth in at least as many draws as chance allows at 1 %."""
     draw, degrees = np.random.default_rng(5), 6.0
+    level = NoiseLevels(np.zeros(coefficients, dtype=np.int64), np.array([degrees]), np.array([False]))
     covered = said = 0
     for _ in range(120):
         gap = 3 * draw.normal(size=coefficients)
         difference = 0.7 * gap + draw.normal(size=coefficients)
         scale = np.sqrt(draw.chisquare(degrees) / degrees)
         residual = (gap + draw.normal(size=coefficients)) / scale
-        found = measured(residual, difference / scale, degrees=np.full(coefficients, degrees))
+        found = measured(residual, difference / scale, levels=level)
         if found.resolvable:
             said += 1
             covered += holds(found, gap, difference)
     assert said > 80
     assert covered >= binom.ppf(0.01, said, 0.9)
+
+
+def test_noise_that_may_be_smaller_than_measured_widens_the_interval_of_any_gap() -> None:
+    """The noise has any share of the variance of the model, with equal probability. 90 % intervals hold the truth in at least as many draws
+    as chance allows at 1 %. If the variance of the model is taken for that of the noise, they hold it in fewer than half of them."""
+    draw, m, tries = np.random.default_rng(6), 300, 120
+    every, covered = np.zeros(m, dtype=np.int64), {True: 0, False: 0}
+    for _ in range(tries):
+        gap = 2 * draw.normal(size=m)
+        difference = 0.8 * gap + 0.5 * draw.normal(size=m)
+        residual = gap + np.sqrt(draw.uniform()) * draw.normal(size=m)
+        for limit in covered:
+            level = NoiseLevels(every, np.array([300.0]), np.array([limit]))
+            found = measured(residual, difference, levels=level)
+            assert found.resolvable
+            covered[limit] += holds(found, gap, difference)
+    assert covered[True] >= binom.ppf(0.01, tries, 0.9)
+    assert covered[False] < tries / 2
 
 
 def _unbalance(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:

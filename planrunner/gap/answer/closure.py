@@ -164,13 +164,34 @@ class MeasuredNoise:
     `weights`: weights of each channel, at the most probable level of flicker. `scale`: for each channel (M,), measured standard
     deviation of the whitened coefficients, which is 1 if `weights` are right. `group`: for each channel (M,), the number of the
     noise group to which each coefficient belongs. `degrees`: array of shape (groups,), degrees of freedom of the measured level of
-    each group.
+    each group. `limits`: array of shape (groups,), True if the level is only an upper limit, because the residuals contain a part of
+    the gap and exceed the noise of the model.
     """
 
     weights: tuple[ChannelWeights, ...] = field(repr=False)
     scale: tuple[Array, ...] = field(repr=False)
     group: tuple[NDArray[np.int64], ...] = field(repr=False)
     degrees: Array
+    limits: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class NoiseLevels:
+    """Describes how well the noise levels of m residuals are known.
+
+    `group`: array of shape (m,), noise group of each residual. `degrees`, `limits`: arrays of shape (groups,), as in
+    `MeasuredNoise`."""
+
+    group: NDArray[np.int64] = field(repr=False)
+    degrees: Array
+    limits: NDArray[np.bool_]
+
+    def drawn(self, draw: np.random.Generator) -> Array:
+        """Draws random variances (`LEVELS`, m) of the noise of each residual, relative to the measured variance: ν/χ², where χ² has ν
+        degrees of freedom. If the measured variance is only an upper limit, the noise is any share of it, with equal probability."""
+        variances = self.degrees / draw.chisquare(self.degrees, (LEVELS, len(self.degrees)))
+        share = draw.uniform(size=(LEVELS, 1))
+        return np.where(self.limits, share, variances)[:, self.group]
 
 
 @dataclass(frozen=True)
@@ -324,13 +345,13 @@ def closure(
         )
     amplitudes = [fit.amplitudes for fit in fits]
     every = [np.ones(len(fold.channel), dtype=bool) for fold in folds]
-    whole = _measured_rows(folds, every, amplitudes, shares, beyond, noise.degrees)
+    whole = _measured_rows(folds, every, amplitudes, shares, beyond, noise)
     if not whole.resolvable:
         return whole
     channels = []
     for index in range(len(weighing.weights)):
         rows = [fold.channel == index for fold in folds]
-        own = _measured_rows(folds, rows, amplitudes, shares, beyond, noise.degrees)
+        own = _measured_rows(folds, rows, amplitudes, shares, beyond, noise)
         if own.resolvable:
             residual = np.concatenate([fold.residual[at] for fold, at in zip(folds, rows, strict=True)])
             channels.append(_in_unit(weighing, noise, index, own, residual))
@@ -362,9 +383,9 @@ def _repetition(
         signature = np.hstack([one, more])
         known.append(KnownCause(float(share), signature.T @ signature, signature.T @ difference, fitted))
     residual = np.concatenate([rows.residual for rows in fits[likeliest].rows])
-    degrees = noise.degrees[np.concatenate(noise.group)]
+    levels = NoiseLevels(np.concatenate(noise.group), noise.degrees, noise.limits)
     fitted_too = sum(rows.basis.shape[1] for rows in fits[likeliest].rows) + signatures[likeliest].shape[1] - 1
-    found = measured(residual, difference, known, beyond, degrees, fitted_too)
+    found = measured(residual, difference, known, beyond, levels, fitted_too)
     return Repetition(found.shrinks_by, found.interval_90) if found.resolvable else None
 
 
@@ -387,7 +408,8 @@ def measured_noise(
 
     `log_bayes`: array of shape (G,), log Bayes factor of the effect at each setting of the noise. `walking`: True if a random walk
     of the gyros acts in addition; the random walk belongs to the gap, not to the noise. `explained`: True if the effect leaves only
-    noise. If False, the residuals contain a part of the gap, so the measured noise is limited to the noise of the model.
+    noise. If False, the residuals contain a part of the gap, so the measured noise is limited to the noise of the model. A level at
+    this limit says only that the noise is not larger.
     """
     gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
@@ -403,8 +425,9 @@ def measured_noise(
         for kind in KINDS:
             weights = _with_measured_flicker(weighing, choice, weights, group, kind)
     left = _left(weighing, choice, weights, group)
-    scale = np.sqrt(np.maximum(left.ratio if explained else np.minimum(left.ratio, 1.0), SMALLEST))
-    return MeasuredNoise(tuple(weights), tuple(scale[own] for own in group), group, left.degrees)
+    limits = (left.ratio >= 1) & (not explained)
+    scale = np.sqrt(np.maximum(np.where(limits, 1.0, left.ratio), SMALLEST))
+    return MeasuredNoise(tuple(weights), tuple(scale[own] for own in group), group, left.degrees, limits)
 
 
 @dataclass(frozen=True)
@@ -429,7 +452,8 @@ def _left(
     `group`: the same as in `MeasuredNoise`."""
     count = 2 * len(KINDS)
     one = tuple(np.ones(len(own)) for own in group)
-    (fit,) = _fits(weighing, MeasuredNoise(tuple(weights), one, group, np.full(count, np.inf)), [choice])
+    known = MeasuredNoise(tuple(weights), one, group, np.full(count, np.inf), np.zeros(count, dtype=bool))
+    (fit,) = _fits(weighing, known, [choice])
     p = len(fit.score)
     covariance = np.sum([root @ root.T for root in fit.amplitudes.roots], axis=0)[:p, :p]
     squares, degrees = np.zeros(count), np.zeros(count)
@@ -555,9 +579,9 @@ def _measured_rows(
     amplitudes: Sequence[Amplitudes],
     shares: Array,
     beyond: float,
-    degrees: Array,
+    noise: MeasuredNoise,
 ) -> Closure:
-    """Returns the closure computed from the selected `rows` of every fold. `degrees`: the same as in `MeasuredNoise`."""
+    """Returns the closure computed from the selected `rows` of every fold."""
     chosen = list(zip(folds, rows, strict=True))
     difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []
@@ -565,8 +589,8 @@ def _measured_rows(
         signature = np.concatenate([fold.signatures[number][at] for fold, at in chosen])
         known.append(KnownCause(float(share), signature.T @ signature, signature.T @ difference, fitted))
     residual = np.concatenate([fold.residual[at] for fold, at in chosen])
-    each = degrees[np.concatenate([fold.group[at] for fold, at in chosen])]
-    return measured(residual, difference, known, beyond, each)
+    group = np.concatenate([fold.group[at] for fold, at in chosen])
+    return measured(residual, difference, known, beyond, NoiseLevels(group, noise.degrees, noise.limits))
 
 
 def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure, residual: Array) -> ChannelClosure:
@@ -642,25 +666,23 @@ def measured(
     difference: Array,
     known: Sequence[KnownCause] = (),
     beyond: float = 1.0,
-    degrees: Array | None = None,
+    levels: NoiseLevels | None = None,
     fitted: int = 0,
 ) -> Closure:
     """Computes the closure from whitened held-out residuals (m,) and the known difference of the predictions (m,). `beyond`: the
     probability that the cause is none of `known`. `beyond` and the probabilities of `known` are used only in proportion to each
-    other; their sum need not be 1. `degrees`: array of shape (m,), degrees of freedom of the measured noise of each residual;
-    residuals with equal degrees share one noise level. None means that the noise level is known.
-    `fitted`: number of
-    parameters that were fitted to the residuals themselves."""
+    other; their sum need not be 1. `levels`: how well the noise levels of the residuals are known; None if they are known exactly.
+    `fitted`: number of parameters that were fitted to the residuals themselves."""
     m = len(residual)
     if float(np.linalg.norm(difference)) < 1e-9 or m < 3:
         return not_measured(NotMeasured.WIDE)
     draw = np.random.default_rng(SEED)
     share = np.array([beyond, *(one.probability for one in known)])
     counts = np.diff(np.round(DRAWS * np.concatenate(([0.0], np.cumsum(share))) / share.sum()).astype(int))
-    levels = np.ones((1, m)) if degrees is None else _levels(degrees, draw)
-    dealt = np.diff(np.round(np.linspace(0, counts[0], len(levels) + 1)).astype(int))
+    variances = np.ones((1, m)) if levels is None else levels.drawn(draw)
+    dealt = np.diff(np.round(np.linspace(0, counts[0], len(variances) + 1)).astype(int))
     drawn = [
-        _unknown(residual, difference, level, int(n), draw, fitted) for level, n in zip(levels, dealt, strict=True) if n
+        _unknown(residual, difference, one, int(n), draw, fitted) for one, n in zip(variances, dealt, strict=True) if n
     ]
     drawn += [
         _explained(one, float(difference @ difference), int(n), draw) for one, n in zip(known, counts[1:], strict=True)
@@ -674,18 +696,6 @@ def measured(
         return not_measured(NotMeasured.WIDE)
     scale = np.sqrt(m)
     return Closure(float(np.median(before)) / scale, float(np.median(after)) / scale, middle, (low, high))
-
-
-def _levels(degrees: Array, draw: np.random.Generator) -> Array:
-    """Draws random variances (`LEVELS`, m) of the noise of each residual, relative to the measured variance: ν/χ², where χ² has ν
-    degrees of freedom."""
-    known = ~np.isfinite(degrees)
-    if known.all():
-        return np.ones((1, len(degrees)))
-    out = np.ones((LEVELS, len(degrees)))
-    for own in np.unique(degrees[~known]):
-        out[:, degrees == own] = (own / draw.chisquare(own, LEVELS))[:, None]
-    return out
 
 
 def _unknown(
