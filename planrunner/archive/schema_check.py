@@ -16,8 +16,8 @@ from datetime import date, datetime
 from planrunner.base.documents import Json
 
 Check = Callable[[Json], str | None]
-"""Function that returns the fault of a value, preceded by the place of the fault within the value (empty for the value itself). It
-returns None if the value is valid."""
+"""Function that checks a value. It returns None if the value is valid, otherwise a description of the fault. The description begins
+with the place of the fault within the value, or with nothing if the whole value is wrong."""
 
 ABOUT = {"$schema", "$id", "$defs", "title", "description"}
 FIRST_YEAR, LAST_YEAR = 1971, 9000  # range that every time zone and every system can represent

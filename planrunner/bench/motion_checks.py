@@ -42,8 +42,8 @@ class Hold:
     """States how long a motion is held.
 
     `settle`: planned settling time, s. `dwell`: planned dwell, s; None if the dwell lasts as long as the recording. `sampled`:
-    sample rate, Hz; None if the sensor is not known. `sooner`: the time [s] by which the settling may end early; 0 if the settling
-    has a fixed length. The settling may end early if it ends as soon as measurements allow.
+    sample rate, Hz; None if the sensor is not known. `sooner`: how much earlier than planned the settling may end, s. It is 0 if
+    the settling has a fixed length, and positive if the settling ends as soon as measurements allow.
     """
 
     settle: float

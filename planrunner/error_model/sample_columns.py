@@ -56,8 +56,8 @@ class SampleColumns:
 
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSamples:
-    """Models one output at the samples of a recording. `observed`: the stimulus at N samples. `ErrorsAtSamples.of` makes an object from a
-    recording whose channels it replaces by two ideal triads."""
+    """Models one output at the samples of a recording. `observed`: the stimulus at N samples. `ErrorsAtSamples.of` makes an object
+    from a recording. It replaces the channels of the recording by two ideal triads."""
 
     observed: Observed
     errors: OutputErrors

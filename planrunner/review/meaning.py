@@ -37,7 +37,7 @@ from planrunner.plan.selection import Detection, Labels
 from planrunner.plan.units import Dimension
 
 VERSION = 1
-"""Version of the format of the meaning. A digest is valid for one version only."""
+"""Version of the format in which the meaning of a plan is written. A digest is valid for one version only."""
 
 DIGITS = 12
 """Number of significant digits of a number. Unit conversions are exact to about 15 digits."""

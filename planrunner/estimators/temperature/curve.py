@@ -426,8 +426,8 @@ class _Way:
 
 def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
     """Returns the possible differences between ramps of one direction: in their offset and, if values follow each other along
-    ramps, in their slope. A difference is used only if the values determine it in addition to the fitted columns, and if at least
-    two residuals remain."""
+    ramps, in their slope. A difference is used only if the values determine both it and the fitted columns, and if at least two
+    residuals remain."""
     numbers, first = np.unique(values.ramp[values.ramp >= 0], return_index=True)
     senses = values.direction[values.ramp >= 0][first]
     each = (values.ramp[:, None] == numbers).astype(float)

@@ -577,7 +577,8 @@ def guessed_time(
 
     The following are tried in turn: columns of numbers that have the name of a time; dates and times of day; columns of numbers
     that increase regularly. If there is no such column, a time that several rows share shows at least the sample rate. `first`: the
-    columns of numbers. `written`: the times [s] of the columns of texts. `stated`: the rates that the file states."""
+    first rows of the columns that contain numbers. `written`: the times [s] of the columns of texts. `stated`: the rates that the
+    file states."""
     named = {column: values for column, values in first.items() if _TIME.search(column)}
     for column, values in named.items():
         time = _number_time(column, values, first, stated)
@@ -771,8 +772,8 @@ def guessed_channel(column: str, first: int = 1) -> Guess:
 
 
 def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
-    """Guesses the unit of a column whose name does not contain it; empty if no unit is plausible. `level`: for a gyro, a large
-    absolute value of the column; for an accelerometer, the length of the mean vector at rest; for a thermometer, the usual value.
+    """Guesses the unit of a column whose name does not contain it; empty if no unit is plausible. `level`: for a gyro, the
+    largest magnitude in the column; for an accelerometer, the length of the mean vector at rest; for a thermometer, the usual value.
     `accel_unit`: for a gyro, the unit of the accelerometers."""
     if sensed == "accel":
         lengths = (

@@ -1,7 +1,8 @@
 """Simulates the surroundings of the sensor: attitude of the table, temperatures, and input of the sensor at any time.
 
 The surroundings depend only on the last command and the time since this command, not on the number of queries. A resumed run is
-therefore identical, to the bit, to an uninterrupted one. The drivers of table and chamber change the world; the sensor reads it.
+therefore identical, to the bit, to an uninterrupted one. The virtual table and the virtual chamber change this state; the virtual
+sensor reads it.
 """
 
 from __future__ import annotations
