@@ -241,7 +241,7 @@ def test_each_reversed_channel_of_a_platform_is_reported(channel: str) -> None:
     ],
 )
 def test_intervals_hold_the_truth_or_a_warning_names_the_cause(estimator: str, name: str) -> None:
-    """25 runs of what docs/coverage-in-independent-worlds.md gives for more. Four standard errors, which the scatter of the runs gives. Where
+    """25 runs of what docs/coverage-in-independent-worlds.md gives for more. Four standard errors, which the runs' scatter gives. Where
     99 % of the runs name the cause, three or more of 25 without it occur once in 500 tests."""
     world = world_of(estimator, name)
     seen = tally(CAMPAIGNS[estimator], world, 25, 41)
