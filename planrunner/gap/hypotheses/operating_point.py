@@ -15,10 +15,17 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import ChangesWithinSegments, Effect, Shaped
+from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import Weighing
 
-_STEPS = 6  # of Gauss–Newton
+_WIDTHS = (
+    30.0,
+    10.0,
+    3.0,
+    1.0,
+)  # standard uncertainties of the output, over which it is differentiated in the first rounds
+_ROUNDS = 9  # of Gauss–Newton
 _STILL = 0.1  # standard deviations of the noise by which the effect may still change
 
 
@@ -55,7 +62,7 @@ def operating_point(
     values = weighing.nominal_values(taken)
     if taken is not None:
         values = settled(weighing, effect, shape, values, amplitude)
-    change = _changes(weighing, effect, shape, values, amplitude)
+    change = _changes(weighing, effect, shape, weighing.seen(values), amplitude, _steps(weighing))
     return OperatingPoint(tuple(values), tuple(weighing.whole), tuple(change))
 
 
@@ -66,28 +73,33 @@ def settled(
 
     `values`: values of the nominal parameters at which the fit starts. A repeated fit to the data without the effect would converge
     slowly: where the output is limited, it would keep the scale factor of the preceding fit. Therefore the change of the effect
-    with the parameters is taken into account (Gauss–Newton, with the derivatives at the start).
+    with the parameters is taken into account (Gauss–Newton). The first derivatives are differences over wide steps: within a dead
+    zone, the output is zero, and the exact derivative would not show how to leave the dead zone.
     """
-    found, change = list(values), _changes(weighing, effect, shape, values, amplitude)
-    for _ in range(_STEPS):
-        caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(weighing.seen(found), shape).columns)
+    found, steps, change = list(values), _steps(weighing), list[Array]()
+    for number in range(_ROUNDS):
+        seen = weighing.seen(found)
+        if number < len(_WIDTHS):
+            change = _changes(weighing, effect, shape, seen, amplitude, _WIDTHS[number] * steps)
+        caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(seen, shape).columns)
         fixed = [raw.sum(axis=1) * amplitude - own @ at for raw, own, at in zip(caused, change, found, strict=True)]
         before, found = found, weighing.nominal_values(fixed, change)
         moved = [
             whole @ (new - old) / white
             for whole, new, old, white in zip(weighing.whole, found, before, weighing.white, strict=True)
         ]
-        if max(float(part @ part) for part in moved) < _STILL**2:
+        if number >= len(_WIDTHS) - 1 and max(float(part @ part) for part in moved) < _STILL**2:
             break
     return found
 
 
 def _changes(
-    weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], amplitude: float
+    weighing: Weighing, effect: Shaped, shape: float, seen: Observed, amplitude: float, step: Array
 ) -> list[Array]:
     """Returns, for each channel, the change (M, q) of the effect per magnitude of each nominal parameter. An effect on the output is a
-    function of the nominal output alone, so its derivative is the product of two derivatives."""
-    seen, output, step = weighing.seen(values), weighing.output_at(values), _steps(weighing)
+    function of the nominal output alone, so its derivative is the product of two derivatives. `seen`: the recording with the
+    nominal output. `step`: array of shape (N, K), step of the nominal output over which the effect is differentiated."""
+    output = weighing.fitted() if seen.fitted is None else seen.fitted
     (more,), (less,) = (effect.at(replace(seen, fitted=output + sign * step), shape).columns for sign in (1.0, -1.0))
     change = [np.zeros_like(whole) for whole in weighing.whole]
     for channel in sorted(more.parts.keys() & less.parts.keys()):
