@@ -46,7 +46,7 @@ class Channel:
 
     def sample_variance(self, rate: float, count: float | None = None) -> float:
         """Returns the declared variance, SI, of samples at the sampling rate `rate` [Hz]: white noise and the rounding to counts.
-        `count`: size of one count, SI, if it is not the declared one."""
+        `count`: size of one count, SI, if it differs from the declared size."""
         return self.white**2 * rate + (self.resolution if count is None else count) ** 2 / 12
 
 

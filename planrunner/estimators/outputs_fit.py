@@ -38,8 +38,8 @@ _WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the m
 
 
 def uncertainty_basis(scatter: str = "segments about the model", within: str = "segments") -> str:
-    """Makes the key that states the basis of the uncertainties. `scatter`: the text that names the scatter of the residual basis.
-    `within`: the text that names what contains the noise of the other basis."""
+    """Makes the key that states the basis of the uncertainties. `scatter`: the text that completes "the scatter of the" in the
+    description of the key. `within`: the text that completes "the noise within the"."""
     stated: str = key(
         Choice(BASES),
         f"Basis of the uncertainties: the scatter of the {scatter}, or the noise within the {within}.",

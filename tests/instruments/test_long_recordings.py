@@ -155,7 +155,7 @@ def test_a_fault_is_named_with_its_place(tmp_path: Path, write: Callable[[Path],
 def test_a_name_that_is_not_in_the_table(tmp_path: Path) -> None:
     keys = write_text(tmp_path, sorted_by_time())
     said = refusal(tmp_path, keys + "time: {column: t}\n" + columns({"x": "X"}))
-    assert "has no column 'X'; did you mean 'x'? The names are those in the column 'name'" in said
+    assert "has no column 'X'; did you mean 'x'? The column 'name' contains the names" in said
     assert "needs a column of the time" in refusal(tmp_path, keys + "time: sample_count\n" + columns({"x": "x"}))
 
 

@@ -4,7 +4,7 @@ A record may contain more than noise. A filter or a periodic disturbance changes
 changes the deviations at long averaging times; a steady drift looks like a random walk. The first fit uses all averaging times. If
 some averaging times contradict the model, averaging times are omitted at the ends of the range, but as few as possible. Allan
 variances cannot distinguish a random walk from a drift. If they show a drift or a random walk, Hadamard variances are fitted
-instead. The coefficients are then right in both cases, and only a little less certain.
+instead. In both cases, the coefficients are then right, and only slightly less certain.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ class DescribedRange:
     """The averaging times that the noise model describes.
 
     `fitted`: the deviations to which `fit` was fitted; these are Hadamard deviations if `drift` is given. `shorter`, `longer`:
-    number of averaging times omitted at the short and at the long end. `distortions`: array of shape (r, 4). For each of these
-    ends, it contains a change of the squared coefficients: the change, beyond chance, if one more averaging time is omitted at this
-    end. `fits`: True if the model describes the remaining averaging times. `probability`: if the model is right, the probability of
-    a χ² at least as large as the χ² found.
+    number of averaging times omitted at the short and at the long end. `distortions`: array of shape (r, 4). Each row belongs to
+    one shortened end. It contains the change of the squared coefficients, beyond chance, if one more averaging time is omitted at
+    this end. `fits`: True if the model describes the remaining averaging times. `probability`: if the model is right, the
+    probability of a χ² at least as large as the χ² found.
     """
 
     fit: NoiseFit
@@ -57,9 +57,9 @@ class DescribedRange:
         times.
 
         The end of the range was chosen by the same deviations that are fitted. The cause that changed the omitted deviations also
-        changes the neighbouring deviations, by less than the χ² test can show. This distortion is estimated from the change of the
-        coefficients with one averaging time fewer, as far as this change is not chance. It counts as a systematic error that is not
-        corrected (JCGM 100:2008, F.2.4.5)."""
+        changes the neighbouring deviations, but by less than the χ² test can show. This distortion is estimated from the change of
+        the coefficients with one averaging time fewer. Only the part of the change that exceeds chance is used. The distortion
+        counts as a systematic error that is not corrected (JCGM 100:2008, F.2.4.5)."""
         return np.asarray(self.fit.covariance + self.distortions.T @ self.distortions)
 
     @cached_property

@@ -39,7 +39,7 @@ from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, W
 from planrunner.gap.hypotheses.operating_point import OperatingPoint, on_output, operating_point
 
 FOLDS = 4
-FEWEST = 6  # segments; three quarters of fewer carry too little information
+FEWEST = 6  # segments; with fewer, three quarters of them contain too little information
 DRAWS = 2000
 LEVELS = 40  # random levels of the noise, among which the draws for an unknown composition are shared
 SEED = 21
@@ -187,8 +187,9 @@ class NoiseLevels:
     limits: NDArray[np.bool_]
 
     def drawn(self, draw: np.random.Generator) -> Array:
-        """Draws random variances (`LEVELS`, m) of the noise of each residual, relative to the measured variance: ν/χ², where χ² has ν
-        degrees of freedom. If the measured variance is only an upper limit, the noise is any share of it, with equal probability."""
+        """Draws random variances (`LEVELS`, m) of the noise of each residual, relative to the measured variance: ν/χ², where χ² has
+        ν degrees of freedom. If the measured variance is only an upper limit, the variance is any share of this limit, with equal
+        probability."""
         variances = self.degrees / draw.chisquare(self.degrees, (LEVELS, len(self.degrees)))
         share = draw.uniform(size=(LEVELS, 1))
         return np.where(self.limits, share, variances)[:, self.group]
@@ -273,8 +274,8 @@ def choices_of(
 def whole_choices(
     weighing: Weighing, name: str, effect: Effect, forms: Sequence[tuple[Weighed, float]], probability: float
 ) -> list[FoldChoice]:
-    """Returns the choices for an effect that its shape determines. `forms`: the forms of the effect, all with the amplitude 1, and
-    their probabilities."""
+    """Returns the choices for an effect that is fully determined by its shape. `forms`: the forms of the effect, all with the
+    amplitude 1, and their probabilities."""
     shown = [(form, share) for form, share in forms if form.trace > 0]
     acting, point = on_output(effect), None
     if acting is not None and shown:
@@ -409,7 +410,7 @@ def measured_noise(
     `log_bayes`: array of shape (G,), log Bayes factor of the effect at each setting of the noise. `walking`: True if a random walk
     of the gyros acts in addition; the random walk belongs to the gap, not to the noise. `explained`: True if the effect leaves only
     noise. If False, the residuals contain a part of the gap, so the measured noise is limited to the noise of the model. A level at
-    this limit says only that the noise is not larger.
+    this limit shows only that the noise is not larger than the limit.
     """
     gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
@@ -502,8 +503,8 @@ def _with_measured_flicker(
 @dataclass(frozen=True)
 class _Fit:
     """Contains a choice that was fitted to all segments. gram (p, p) and score (p,) are sums over all channels. Rows and columns
-    have one whitened entry for each channel. `amplitudes`: the amplitudes of the choice; if the choice has an operating point, also
-    the nominal parameters minus the nominal parameters of the operating point."""
+    have one whitened entry for each channel. `amplitudes`: the amplitudes of the choice. If the choice has an operating point,
+    `amplitudes` also contains the differences between the nominal parameters and their values at this point."""
 
     gram: Array
     score: Array
@@ -562,8 +563,8 @@ def _fit(choice: FoldChoice, noise: MeasuredNoise, rows: list[_Rows]) -> _Fit:
 
 
 def _shares(choices: Sequence[FoldChoice], fits: Sequence[_Fit]) -> Array:
-    """Returns the probabilities of the choices. The probability of an effect is divided among its forms again, with evidence at the
-    measured noise."""
+    """Returns the probabilities of the choices. The probability of each effect is divided anew among its forms, according to their
+    evidence at the measured noise."""
     shares = np.array([choice.probability for choice in choices])
     for effect in {choice.effect for choice in choices if choice.probability > 0}:
         own = np.array([choice.effect == effect for choice in choices]) & (shares > 0)
@@ -648,8 +649,8 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold]) -> float:
-    """Returns a fraction of the effect's energy in the held-out segments: the fraction that the other segments determine, if the
-    amplitudes have the estimated size. The fraction is 0 if only one segment shows the effect."""
+    """Returns the fraction of the effect's energy in the held-out segments that the other segments determine. The amplitudes are
+    assumed to have the estimated size. The fraction is 0 if only one segment shows the effect."""
     size = best_scales(fit.gram, fit.score, widths)
     shown = left = 0.0
     for fold in folds:

@@ -39,7 +39,7 @@ _VARIOUS = 4.0  # degrees of freedom of the scatter between segments, at least
 _SAME = 1e3  # degrees of freedom from which on the segments count as alike
 _NARROW = 4.0  # degrees of freedom with which the noise near the frequency of a harmonic can be measured
 _STANDING = 0.1
-"""Part of the median level of all segments that the level of a segment is at least. A limited or stuck output has little noise or none,
+"""Smallest level of a segment, relative to the median level of all segments. A limited or stuck output has little noise or none,
 but it is not more precise than other outputs."""
 _SMALLEST = (
     1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands

@@ -2,9 +2,9 @@
 
 A setting of the noise consists of a level of flicker and a level of random walk for each triad. At every setting, the coefficients
 of each channel are whitened: first the coefficients above order 0, segment by segment; then the coefficients of order 0, jointly
-over the segments. Before the second step, the part that the other coefficients predict is subtracted. Only with a random walk is
-this part different from zero. Then the nominal parameters, which have a flat prior, are projected out. The likelihood of the
-residuals is the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
+over the segments. Before the second step, the part that the other coefficients predict is subtracted. This part is zero unless
+there is a random walk. Then the nominal parameters, which have a flat prior, are projected out. The likelihood of the residuals is
+the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
 
 Some recordings cannot separate all nominal parameters. Examples are recordings with a single orientation, with poses of unknown
 orientation, or in which gravity is never along an axis. The columns of these parameters are linearly dependent or zero. Therefore,
@@ -229,8 +229,8 @@ class ChannelWeights:
         return made
 
     def beside(self, columns: Array) -> ChannelWeights:
-        """Returns a copy in which further columns (M, p), SI, have been added to the nominal columns. The `log_likelihood` of the
-        copy takes account of the smaller residual, but not of the determinant of the additional columns."""
+        """Returns a copy in which further columns (M, p), in SI units, have been added to the nominal columns. The `log_likelihood`
+        of the copy takes account of the smaller residual, but not of the determinant of the additional columns."""
         made = copy(self)
         whitened = self.whiten(columns[:, columns.any(axis=0)])
         whitened /= np.linalg.norm(whitened, axis=0)
@@ -256,7 +256,7 @@ class ChannelWeights:
         return made
 
     def covariance(self, rows: NDArray[np.bool_]) -> Array:
-        """Returns the covariance of the coefficients in the rows that a mask (M,) selects, SI²·samples."""
+        """Returns the covariance of the coefficients in the rows that a mask (M,) selects, in SI²·samples."""
         chosen = np.flatnonzero(rows)
         out = np.diag(1 / self.scale[chosen] ** 2)
         if self._correlation is not None:
@@ -433,7 +433,7 @@ def independent(columns: Array) -> Array:
 
 Rows = NDArray[np.bool_]
 Eigen = tuple[Array, Array]  # eigenvalues (n,) and squared scores (n,)
-_NOTHING = 1e-6  # smallest norm of a nominal direction that is not rounding
+_NOTHING = 1e-6  # norm up to which a nominal direction is only a rounding error
 
 
 class Left:

@@ -63,9 +63,9 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
 
 
 def _of_short_windows(weighing: Weighing, both: tuple[Array, Array], within: Mapping[int, Array]) -> Array:
-    """Returns the overdispersion (K,) of the energies of the shortest windows. Noise with many small values and a few large ones has
-    a large overdispersion. There are many short windows, so they show it more precisely than longer windows do. `both`: the same
-    as in `_evidence`."""
+    """Returns the overdispersion (K,) of the energies of the shortest windows. Noise with many small values and a few large ones
+    has a large overdispersion. The short windows are numerous, so they show the overdispersion more precisely than longer windows.
+    `both`: the same as in `_evidence`."""
     windows = _windows(weighing, within, FEWEST, 0)
     if windows is None:
         return np.ones(len(weighing.white))
@@ -120,8 +120,8 @@ def _evidence(
 
 
 def _normalised(both: tuple[Array, Array], windows: _Windows, size: int) -> tuple[Array, Array]:
-    """Returns the energies of the mean and of the remaining scatter of each window, each of shape (W, K). They are divided by the
-    median of windows in segments of equal length, if this median exceeds that of white noise."""
+    """Returns the energies of the mean and of the remaining scatter of each window, each of shape (W, K). The energies are divided
+    by the median energy of the windows in segments of equal length, if this median exceeds the median for white noise."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size

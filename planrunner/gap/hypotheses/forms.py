@@ -130,8 +130,8 @@ def _resettled(
 
 
 def _together(weighing: Weighing, effect: Shaped, best: Weighed, values: Sequence[Array] | None) -> list[Array]:
-    """Returns the nominal parameters, fitted together with an effect of amplitude 1. `best`: the form of the effect. `values`: nominal
-    parameters at which the fit may start, None if none are known."""
+    """Returns the nominal parameters, fitted together with an effect of amplitude 1. `best`: the form of the effect. `values`:
+    nominal parameters at which the fit may start; None if no such parameters are known."""
     acting, taken = on_output(effect), [raw[:, 0] for raw in best.raw]
     if acting is None or values is None:
         values = weighing.nominal_values(taken)

@@ -1,8 +1,8 @@
 """Computes how an effect on the output of the sensor changes with the nominal parameters.
 
 A dead zone or a limit acts on the output. Its size therefore depends on the bias and the scale factors of the sensor. To first
-order in the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The nominal parameters θ₀ are those at which the form of
-the effect was computed. The columns of E are central differences. The step of these differences is one standard uncertainty of each
+order in the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The form of the effect was computed at the nominal
+parameters θ₀. The columns of E are central differences. The step of these differences is one standard uncertainty of each
 parameter, because the exact derivative of a dead zone is infinite at its edge.
 """
 
@@ -19,13 +19,9 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import Weighing
 
-_WIDTHS = (
-    30.0,
-    10.0,
-    3.0,
-    1.0,
-)  # standard uncertainties of the output, over which it is differentiated in the first rounds
-_ROUNDS = 9  # of Gauss–Newton
+_WIDTHS = (30.0, 10.0, 3.0, 1.0)
+"""Steps of the differences that replace derivatives in the first iterations, in standard uncertainties of the output."""
+_ROUNDS = 9  # iterations of Gauss–Newton
 _STILL = 0.1  # standard deviations of the noise by which the effect may still change
 
 
@@ -56,8 +52,9 @@ def operating_point(
 ) -> OperatingPoint:
     """Computes how an effect on the output changes with the nominal parameters.
 
-    `shape`, `amplitude`: shape and amplitude of the effect. `taken`: for each channel, the coefficients (M,) that the effect causes,
-    if it is fitted together with the nominal parameters; None if these are fitted without the effect.
+    `shape`, `amplitude`: shape and amplitude of the effect. `taken`: for each channel, the coefficients (M,) that the effect
+    causes, or None. If `taken` is given, the nominal parameters are fitted together with the effect; otherwise, they are fitted
+    without the effect.
     """
     values = weighing.nominal_values(taken)
     if taken is not None:
@@ -71,10 +68,10 @@ def settled(
 ) -> list[Array]:
     """Fits the nominal parameters together with an effect on the output. Returns the values of the parameters of each channel.
 
-    `values`: values of the nominal parameters at which the fit starts. A repeated fit to the data without the effect would converge
-    slowly: where the output is limited, it would keep the scale factor of the preceding fit. Therefore the change of the effect
-    with the parameters is taken into account (Gauss–Newton). The first derivatives are differences over wide steps: within a dead
-    zone, the output is zero, and the exact derivative would not show how to leave the dead zone.
+    `values`: values of the nominal parameters at which the fit starts. Repeated fits to the data minus the effect would converge
+    slowly: in segments with a limited output, these data follow the scale factor of the preceding fit. Therefore, the fit includes
+    the change of the effect with the parameters (Gauss–Newton). The first derivatives are differences over wide steps: within a
+    dead zone, the output is zero, and the exact derivative would not show how to leave the dead zone.
     """
     found, steps, change = list(values), _steps(weighing), list[Array]()
     for number in range(_ROUNDS):
@@ -112,7 +109,8 @@ def _changes(
 
 
 def _steps(weighing: Weighing) -> Array:
-    """Returns the standard uncertainty (N, K) of each nominal output that follows from those of the nominal parameters."""
+    """Returns the standard uncertainty (N, K) of each nominal output. It follows from the standard uncertainties of the nominal
+    parameters."""
     channels = range(len(weighing.whole))
     return np.column_stack(
         [np.sqrt(weighing.samples_of(channel) ** 2 @ _uncertainty(weighing, channel) ** 2) for channel in channels]

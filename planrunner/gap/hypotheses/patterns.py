@@ -239,8 +239,8 @@ def _upward(observed: Observed, segment: int) -> Hashable:
 
 
 def sizes(weighing: Weighing, signatures: Sequence[Array]) -> PatternDesign:
-    """The size of an effect differs from motion to motion: between the rates of turning, and between the frequencies and amplitudes of
-    rocking. A cause outside the catalogue that resembles the effect usually changes in another way with the motion.
+    """The size of an effect differs from motion to motion: between the rates of turning, and between the frequencies and amplitudes
+    of rocking. A cause outside the catalogue that resembles the effect usually depends on the motion in another way.
 
     `signatures`: for each channel, the coefficients (M,) that the effect causes."""
     motions = [_speed(motion) for motion in weighing.observed.motions]

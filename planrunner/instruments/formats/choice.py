@@ -104,7 +104,7 @@ def open_file(path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, 
     it. Raises `InstrumentError` if the format is unknown or the file cannot be opened."""
     kind = ENDINGS.get(path.suffix.lower()) if given is None else given.type
     if kind is None:
-        open_samples(path, name).close()  # a folder, or nothing at all, is named as what it is
+        open_samples(path, name).close()  # raises an error that fits, if the path is a folder or does not exist
         endings = ", ".join(ENDINGS)
         raise InstrumentError(
             f"the extension of '{name}' is not one of {endings}; state the format in the bench file, such as "

@@ -24,23 +24,23 @@ from planrunner.plan.kinds import Number, Record, Text, key
 from planrunner.plan.span import Span
 
 MAX_LOG = 1_000_000_000
-"""Bytes of a log: pymavlink keeps the position of each of its messages in memory."""
+"""Maximum size of a log in bytes. pymavlink keeps the position of every message of the log in memory."""
 MAX_HELD = 60_000_000
-"""Numbers of the messages that are read, which are kept in memory."""
+"""Maximum number of numbers in the messages that are read. These numbers are kept in memory."""
 BINARY = b"\xa3\x95\x80"
-"""Start of a binary log: the message that describes the form of such descriptions."""
+"""First bytes of a binary log. They begin the message that describes the form of all descriptions."""
 TEXT = rb"FMT,\s*128,\s*89,"
 _NUMBERS = "bBhHiIfdcCeELMqQ"
-"""Types of fields that are numbers, in the descriptions of the messages."""
+"""Letters for the types of numeric fields in the descriptions of the messages."""
 _INERTIAL = ("IMU", "GYR", "ACC")
 _UNITS = {"Gyr": "rad/s", "Acc": "m/s^2", "TimeUS": "us"}
 """Units of fields of the inertial messages, by the start of their names (ArduPilot, Onboard Message Log Messages)."""
-_LAST = 1_000_000_000  # instances
+_LAST = 1_000_000_000  # largest number of an instance
 
 
 class MessageForm(Protocol):
     """The description of a message in a log. `format`: one letter for the type of each field. `instance_field`: the field that
-    states which of several sensors the message is from, None if there is none."""
+    states which of several sensors sent the message; None if there is no such field."""
 
     name: str
     format: str
@@ -69,7 +69,7 @@ class DataflashKeys(Record):
 
 
 class DataflashFile(FormatFile[DataflashKeys]):
-    """A dataflash log, of which the messages of one kind are read."""
+    """Reads the messages of one kind from a dataflash log."""
 
     Parameters = DataflashKeys
 
@@ -112,7 +112,7 @@ class DataflashFile(FormatFile[DataflashKeys]):
         return self._fields
 
     def _loaded(self, *, is_binary: bool) -> dict[str, Array]:
-        """Reads all messages of the kind."""
+        """Reads all messages of the kind that the bench file names."""
         try:
             from pymavlink.DFReader import DFReader_binary, DFReader_text
         except ImportError:
@@ -145,7 +145,7 @@ class DataflashFile(FormatFile[DataflashKeys]):
         return {name: np.frombuffer(values, np.float64) for name, values in columns.items()}
 
     def _messages(self, log: LogReader) -> Iterator[dict[str, float]]:
-        """Yields the fields of each message of the kind that are numbers."""
+        """Yields the numeric fields of each message of this kind."""
         form, names, instance, count = None, [], None, 0
         while (message := log.recv_match(type=self.parameters.message)) is not None:
             if form is None:

@@ -128,7 +128,7 @@ class FormatFile(ABC, Generic[Keys]):
     `name`: name of the file, used in messages. `stamps`: where the time of a row comes from. `channels`: for each channel, the name
     of its column. `parameters`: the keys of the format in the bench file. `origin`: time of the first row, s. `interval`: median
     time between the first rows, s; NaN if there is only one row. `about`: approximate number of rows. The method `look` sets
-    `origin`, `interval` and `about`. `texts`: columns of texts that are read in addition to those of the channels.
+    `origin`, `interval` and `about`. `texts`: columns of texts that are read in addition to the columns of the channels.
     """
 
     Parameters: type[Record] = NoKeys
@@ -169,7 +169,7 @@ class FormatFile(ABC, Generic[Keys]):
         return None
 
     def faults(self) -> tuple[type[Exception], ...]:
-        """Returns the types of exceptions which indicate that the file cannot be read."""
+        """Returns the types of the exceptions that are raised if the file cannot be read."""
         return (OSError, UnicodeDecodeError)
 
     def place(self, row: int) -> str:

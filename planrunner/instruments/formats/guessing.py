@@ -41,7 +41,7 @@ _TIME = re.compile(
 )
 _STAMP = re.compile(r"(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[T ]\s*)?\d{1,2}:\d{2}(?!\w)")
 """Start of a date with a time, or of a time of day."""
-_SHEET_ROWS = 200  # of a sheet in which the first sample is searched for
+_SHEET_ROWS = 200  # rows at the start of a sheet, among which the first sample is searched for
 _VALUE = re.compile(
     r"(?:^|[^a-z])(values?|readings?|wert|val|measure\w*|data|signal|result)(?:[^a-z]|$)", re.IGNORECASE
 )
@@ -340,8 +340,8 @@ def _best_layout(lines: Sequence[str], encoding: str, is_row: Callable[[Sequence
 
 
 def _first_row(cells: Sequence[Sequence[str]], width: int, is_row: Callable[[Sequence[str]], bool]) -> int | None:
-    """Returns the index of the first line that is a row, and is followed by three rows. `is_row`: returns True for the cells of a
-    row."""
+    """Returns the index of the first line that is a row and is followed by three further rows. `is_row`: returns True for the cells
+    of a row."""
     fits = [len(row) == width and is_row(row) for row in cells]
     return next((index for index in range(len(fits)) if all(fits[index : index + 4])), None)
 
@@ -477,8 +477,9 @@ class LikelyReadings:
 
 
 def guessed_readings(file: AnyFile, numbers: Sequence[str]) -> LikelyReadings | None:
-    """Finds out whether each row of a table is one reading of one channel or sensor; None if it is not, or if no column looks like
-    the time. `numbers`: the columns of numbers. Raises `InstrumentError` if the file cannot be read."""
+    """Guesses the arrangement of a table in which each row is one reading of one channel or sensor. Returns None if the file has no
+    such arrangement, or if no column looks like the time. `numbers`: the columns of numbers. Raises `InstrumentError` if the file
+    cannot be read."""
     if any(guessed_channel(column).sensed in ("gyro", "accel") for column in numbers):
         return None
     known = file.columns()[:MOST_COLUMNS]
@@ -653,8 +654,8 @@ def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> flo
 
 
 def _mean_step(values: Array) -> float | None:
-    """Returns the mean step of the time per row, for a time that several rows have in common; None if the time decreases, or
-    changes less than four times."""
+    """Returns the mean step of the time per row. The function is used if several rows have the same time. Returns None if the time
+    decreases, or changes less than four times."""
     if not np.all(np.isfinite(values)) or np.any(np.diff(values) < 0):
         return None
     changes = np.flatnonzero(np.diff(values) > 0) + 1

@@ -36,10 +36,10 @@ ROWS = 8_192
 """Number of rows in one batch."""
 MAX_HELD = 60_000_000
 """Maximum number of numbers in a file with one list for each column. Such a file is read as a whole."""
-_LOOKED_AT = 1_000  # samples whose names are collected
-_DEEPEST = 6  # objects in objects
-_CLEARLY = 10  # times the length of the next list, for a list that contains the samples if none is named
-_PER_TEXT = 10  # numbers that need as much memory as a text
+_LOOKED_AT = 1_000  # samples from which the names of the columns are collected
+_DEEPEST = 6  # levels of nested objects and lists
+_CLEARLY = 10  # ratio to the length of the next list, from which the longest list counts as the list of samples
+_PER_TEXT = 10  # number of numbers that need as much memory as one text
 
 Step = str | int
 _ABSENT = object()
@@ -81,7 +81,8 @@ class JsonFile(FormatFile[JsonKeys]):
         self._deciding: tuple[str, ...] = ()
 
     def deciding(self, columns: Sequence[str]) -> JsonFile:
-        """Returns the same file without the samples that contain none of these columns. By default, the channels decide this."""
+        """Returns the same file without the samples that contain none of these columns. By default, samples that contain no channel
+        are left out."""
         other = copy.copy(self)
         other._deciding = tuple(columns)
         return other
@@ -115,7 +116,7 @@ class JsonFile(FormatFile[JsonKeys]):
         return super().place(row)
 
     def hint(self, column: str, known: list[str]) -> str:
-        return f"{closest(column, known)} A number in an object is named `object.key`, and one in a list `list[1]`"
+        return f"{closest(column, known)} A number in an object is named `object.key`, and a number in a list is named `list[1]`"
 
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         layout = self._known()
@@ -326,7 +327,7 @@ class _Lists:
 
 
 def _descend(scanner: JsonScanner, path: Sequence[str]) -> bool:
-    """Reads up to the list to which the keys of `path` lead. Returns False if there is no such list."""
+    """Reads the document up to the list to which the keys of `path` lead. Returns False if there is no such list."""
     for key in path:
         if scanner.peek() != "{":
             return False

@@ -14,11 +14,11 @@ PIECE = 1 << 18
 """Number of bytes that are read together."""
 MAX_VALUE = 1 << 22
 """Maximum number of characters of a value that is decoded as a whole, such as one sample."""
-_DEEPEST = 50  # values in values
+_DEEPEST = 50  # levels of nested values
 _SPACE = re.compile(r"[ \t\r\n]*")
 _WORDS = ("true", "false", "null", "NaN", "Infinity", "-Infinity")
 _ESCAPE = 6  # characters of \\uXXXX
-_PART = re.compile(r"\.|[eE][+-]?")  # of a number
+_PART = re.compile(r"\.|[eE][+-]?")  # end of an incomplete number
 _NUMBERED = re.compile(r'"\d+"')
 
 
@@ -54,7 +54,7 @@ class JsonScanner:
 
     @property
     def left(self) -> int:
-        """Returns the approximate number of bytes that were taken from the file, but not read yet."""
+        """Returns the approximate number of bytes that were read from the file, but not decoded yet."""
         return len(self._text) - self._at
 
     def value(self) -> object:
@@ -181,7 +181,7 @@ class JsonScanner:
             raise
 
     def _stopped(self, following: str) -> bool:
-        """Returns True if the file ends within a list or an object, as it does if a logger lost its power."""
+        """Returns True if the file ends within a list or an object, for example because the logger lost power."""
         self.truncated = self.truncated or not following
         return self.truncated
 

@@ -85,8 +85,8 @@ class _Survey:
 
 
 class LongFile(FormatFile[Record]):
-    """A table of readings in a file of any format. A table that is sorted by time is read in batches; another table is read as a
-    whole and sorted."""
+    """A table of readings in a file of any format. A table that is sorted by time is read in batches. A table that is not sorted is
+    read as a whole, and then sorted."""
 
     def __init__(self, table: AnyFile, readings: ReadingColumns, stamps: TimeStamps, channels: Mapping[str, str]):
         super().__init__(table.path, table.name, stamps, channels, table.parameters)
@@ -118,7 +118,7 @@ class LongFile(FormatFile[Record]):
             yield first, rows
 
     def hint(self, column: str, known: list[str]) -> str:
-        return f"{closest(column, known)} The names are those in the column '{self.readings.name}'"
+        return f"{closest(column, known)} The column '{self.readings.name}' contains the names"
 
     def look(self) -> None:
         """Checks the table and its first samples, as described in `FormatFile.look`. Also raises `InstrumentError` if no sample
@@ -136,7 +136,7 @@ class LongFile(FormatFile[Record]):
             if not (known[names[0]] & known[other]).any() and known[names[0]].any() and known[other].any():
                 first, second = self.channels[names[0]], self.channels[other]
                 message = f"'{first}' and '{second}' have no readings at the same time, so that no sample contains both"
-                hint = "use the channels of one sensor, or state under `readings` how far apart they are, such as `within: 2 ms`"
+                hint = "use the channels of one sensor, or state under `readings` how far apart in time they may be, such as `within: 2 ms`"
                 raise InstrumentError(f"{self.name}: {message}; {hint}")
 
     # -- readings ------------------------------------------------------------------------------------------------------
@@ -149,7 +149,7 @@ class LongFile(FormatFile[Record]):
     def _found(self) -> _Survey:
         """Reads the whole table once."""
         if self.stamps.column is None:
-            message = "a table of readings needs a column of the time, which shows the readings of one sample"
+            message = "a table of readings needs a column of the time, because it shows which readings form a sample"
             raise InstrumentError(f"{self.name}: {message}; write `time: {{column: …}}`")
         known = self.table.columns()
         for column in (self.stamps.column, self.readings.name, *self.readings.values):
@@ -201,7 +201,7 @@ class LongFile(FormatFile[Record]):
             yield _Batch(first, time, code, np.column_stack([rows.numbers(value) for value in values]))
 
     def _chosen(self) -> Iterator[_Batch]:
-        """Yields the readings of the channels, sorted by time. The codes are the positions of the names of the channels."""
+        """Yields the readings of the channels, sorted by time. The code of a reading is the position of its name in `_names`."""
         survey, wanted = self._surveyed(), self._names()
         position = np.full(MAX_COLUMNS + 2, -1)
         for number, name in enumerate(wanted):
@@ -263,7 +263,7 @@ class LongFile(FormatFile[Record]):
     def _samples(
         self, batch: _Batch, begins: NDArray[np.bool_], names: list[str], first: int
     ) -> tuple[int, SampleRows, Array]:
-        """Makes samples of readings. `begins`: shape (n,), True for the first reading of each sample."""
+        """Combines readings into samples. `begins`: shape (n,), True for the first reading of each sample."""
         row = np.cumsum(begins) - 1
         time = batch.time[begins]
         cell = row * len(names) + batch.code

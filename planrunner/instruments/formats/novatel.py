@@ -53,7 +53,7 @@ def checksum(body: bytes) -> int:
 
 
 class NovatelFile(FormatFile[NoKeys]):
-    """A log with messages of raw IMU data, among other messages. Messages with a wrong checksum are left out."""
+    """Reads the messages of raw IMU data in a log, and ignores all other messages. Messages with a wrong checksum are left out."""
 
     def __init__(self, path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], parameters: NoKeys):
         super().__init__(path, name, stamps, channels, parameters)

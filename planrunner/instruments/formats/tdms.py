@@ -83,7 +83,7 @@ class TdmsFile(FormatFile[NoKeys]):
 
     def hint(self, column: str, known: list[str]) -> str:
         shown = ", ".join(f"'{name}'" for name in known[:12])
-        return f"its columns are {shown}; the name of a group comes before that of a channel"
+        return f"its columns are {shown}; the name of the group comes first, then the name of the channel"
 
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         count, waveforms = self.rows_about(), self._contents()[1]
@@ -155,7 +155,7 @@ class TdmsFile(FormatFile[NoKeys]):
 
 
 def _waveform(channel: TdmsChannel) -> _Waveform | None:
-    """Returns the time of a waveform; None if the channel states none."""
+    """Returns the time of a waveform; None if the channel is not a waveform."""
     increment, offset = (channel.properties.get(f"wf_{name}", 0.0) for name in ("increment", "start_offset"))
     if not isinstance(increment, int | float) or not isinstance(offset, int | float):
         return None

@@ -190,7 +190,7 @@ def _number(cell: object) -> float | None:
 
 @contextlib.contextmanager
 def open_workbook(path: Path, name: str) -> Iterator[Book]:
-    """Opens a workbook for reading, after its parts have been checked against the limits of size. `name`: name of the file, used in
+    """Checks that no part of a workbook is too large, and opens the workbook for reading. `name`: name of the file, used in
     messages. Raises `InstrumentError` if the file cannot be read, or if a package for reading is missing."""
     try:
         import defusedxml  # noqa: F401  openpyxl reads XML with it, so that entities cannot fill the memory
