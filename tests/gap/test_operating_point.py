@@ -134,6 +134,7 @@ def test_readings_that_stand_at_a_limit_are_not_taken_for_precise_ones(limit: fl
     assert abs(one.value - limit) < 3 * one.standard_uncertainty
 
 
+@pytest.mark.slow
 def test_outputs_that_only_seem_to_be_in_a_dead_zone_leave_it() -> None:
     """A dead zone of 0.1 deg/s, in which many outputs across the table's axis lie. A fit that starts within the zone with exact
     derivatives stays there; in these recordings, it finds between 0.073 and 0.097 deg/s."""
