@@ -237,7 +237,7 @@ def _clipped(observed: Observed, shape: float, limits: tuple[float, float]) -> V
     if observed.scatter is not None:
         noise = np.sort(observed.scatter[gyros], axis=1)
         noise -= noise.mean(axis=1, keepdims=True)
-        reach = float(np.abs(noise).max())
+        reach = float(np.abs(noise).max(initial=0.0))
     lower, upper = limits
 
     def output(nominal: Array) -> Array:

@@ -39,8 +39,8 @@ _VARIOUS = 4.0  # degrees of freedom of the scatter between segments, at least
 _SAME = 1e3  # degrees of freedom from which on the segments count as alike
 _NARROW = 4.0  # degrees of freedom with which the noise near the frequency of a harmonic can be measured
 _STANDING = 0.1
-"""Smallest level of a segment, relative to the median level of all segments. A limited or stuck output has little noise or none,
-but it is not more precise than other outputs."""
+"""Smallest level of a segment, as a part of the median level of all segments or of the level at rest, whichever is smaller. A limited or
+stuck output has little noise or none, but it is not more precise than other outputs."""
 _SMALLEST = (
     1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
 )
@@ -200,7 +200,7 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
             spectra[kind, :, channel] = shape_ if coloured[kind, channel] else 1.0
         expected = (count * spectra[moving, :, channel]).sum(1) / of_segment
         each = np.maximum(typical[:, channel] / np.maximum(expected, _SMALLEST), _SMALLEST)
-        least = _STANDING * float(np.median(each))
+        least = _STANDING * min(float(np.median(each)), 1.0)
         standing[:, channel] = each < least
         each = np.maximum(each, least)
         differing[channel] = _better(each, _EFFICIENCY * of_segment)

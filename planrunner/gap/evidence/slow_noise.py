@@ -13,6 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
@@ -90,36 +91,85 @@ def random_walk_within(vectors: Array, step: float) -> tuple[Array, Array, Array
 
 
 @dataclass(frozen=True)
+class WalkAcross:
+    """Contains the covariances of the segment means with the M coefficients within the segments that a random walk causes. A coefficient
+    has one covariance with the mean of its own segment, another with the means of all later segments, and none with the means of
+    earlier segments.
+
+    `own`, `afterwards`: arrays of shape (M,), these two covariances. `first`: array of shape (S,), index of the first coefficient of
+    each segment.
+    """
+
+    own: Array
+    afterwards: Array
+    first: NDArray[np.int64]
+
+    def of(self, columns: Array) -> WalkAcross:
+        """Returns the covariances with other coefficients. `columns`: array of shape (M, 2), transformed `own` and `afterwards`."""
+        return WalkAcross(columns[:, 0], columns[:, 1], self.first)
+
+    @property
+    def columns(self) -> Array:
+        """Returns `own` and `afterwards` as columns, shape (M, 2)."""
+        return np.column_stack([self.own, self.afterwards])
+
+    def times(self, factor: float) -> WalkAcross:
+        return WalkAcross(self.own * factor, self.afterwards * factor, self.first)
+
+    def product(self, columns: Array) -> Array:
+        """Returns the product of the covariances (S, M) with columns (M, …), shape (S, …)."""
+        own, afterwards = (
+            np.add.reduceat((columns.T * part).T, self.first, axis=0) for part in (self.own, self.afterwards)
+        )
+        return np.asarray(own + np.cumsum(afterwards, axis=0) - afterwards)
+
+    def squared(self) -> Array:
+        """Returns the product of the covariances (S, M) with their transpose, shape (S, S)."""
+        own, mixed, later = (
+            np.add.reduceat(part, self.first) for part in (self.own**2, self.own * self.afterwards, self.afterwards**2)
+        )
+        before = np.cumsum(later) - later
+        index = np.arange(len(before))
+        found = (before + mixed)[np.minimum(index[:, None], index)]
+        found[index, index] = before + own
+        return np.asarray(found)
+
+    def dense(self) -> Array:
+        """Returns the covariances, shape (S, M)."""
+        return self.product(np.eye(len(self.own)))
+
+
+@dataclass(frozen=True)
 class SlowNoise:
-    """Contains the covariances of slow noise: flicker with B = 1, and a random walk with unit density.
+    """Contains the covariances of slow noise: of flicker with B = 1, and of a random walk with unit density (1/√s).
 
     `flicker`, `random_walk`: arrays of shape (S, S), covariances of the segment means. `walk_within`: covariances of the
-    coefficients of a random walk within each segment, samples; zero for the means. `walk_across`: array of shape (S, M),
-    covariances of the segment means with the coefficients, √samples; zero for the means.
+    coefficients of a random walk within each segment, s·samples; zero for the means. `walk_across`: covariances of the segment means
+    with the coefficients, s·√samples; zero for the means.
     """
 
     flicker: Array
     random_walk: Array
     walk_within: Blocks
-    walk_across: Array
+    walk_across: WalkAcross
 
     @classmethod
     def of(cls, observed: Observed, spectrum: Spectrum) -> SlowNoise:
         starts, ends = lasting(observed)
         size = [len(basis.frequency) for basis in spectrum.bases]
-        within, across = Blocks.diagonal(size, np.zeros(len(size))), np.zeros((len(size), sum(size)))
-        known: dict[tuple[int, int], tuple[Array, Array, Array]] = {}
+        within, across = Blocks.diagonal(size, np.zeros(len(size))), []
+        known: dict[tuple[int, float], tuple[Array, Array, Array]] = {}
         for index, basis in enumerate(spectrum.bases):
-            bins = int(observed.bin_size[index])
-            key = id(basis), bins
+            bins, step = int(observed.bin_size[index]), float(ends[index] - starts[index]) / len(basis.vectors)
+            key = id(basis), round(step, 12)
             if key not in known:
-                known[key] = random_walk_within(basis.vectors, bins / observed.sample_rate)
+                known[key] = random_walk_within(basis.vectors, step)
             covariance, own, afterwards = known[key]
             within.of_segment(index)[:] = bins * covariance
-            columns = spectrum.means[index] + np.arange(size[index])
-            across[index, columns] = np.sqrt(bins) * own
-            across[index + 1 :, columns] = np.sqrt(bins) * afterwards
-        return cls(flicker(starts, ends), random_walk(starts, ends), within, across)
+            across.append(np.sqrt(bins) * np.column_stack([own, afterwards]))
+        columns = np.concatenate(across)
+        walk = WalkAcross(columns[:, 0], columns[:, 1], spectrum.means)
+        return cls(flicker(starts, ends), random_walk(starts, ends), within, walk)
 
 
 def lasting(observed: Observed) -> tuple[Array, Array]:

@@ -165,12 +165,12 @@ class ChannelWeights:
         if level > 0:
             covariance += level**2 * slow.flicker
             tail += level**2 * observed.sample_rate / 2 * _beyond_measured(spectrum, noise.lowest, measured)
-        across: Array | None = None
+        across: slow_noise.WalkAcross | None = None
         if walk > 0:
             walking = slow.walk_within.times(walk**2)
             within = _besides(walking, within, measured).joined(walking)
             covariance += walk**2 * slow.random_walk
-            across = walk**2 * slow.walk_across
+            across = slow.walk_across.times(walk**2)
         within = within.plus(tail)
         self.walk = walk
         self._covariance = covariance
@@ -180,7 +180,7 @@ class ChannelWeights:
         self._root = np.sqrt(counts)
         self.scale = 1 / np.sqrt(within.variances)
         self._across = across
-        self._predicted: Array | None = None
+        self._predicted: slow_noise.WalkAcross | None = None
         self._inverse: Array | None = None
         if level == 0 and walk == 0:
             self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
@@ -194,8 +194,8 @@ class ChannelWeights:
             self.scale[self._means] = 1.0
             covariance = self._covariance
             if self._across is not None:
-                self._predicted = self._within_segments(self._across.T).T
-                covariance = covariance - self._predicted @ self._predicted.T
+                self._predicted = self._across.of(self._within_segments(self._across.columns))
+                covariance = covariance - self._predicted.squared()
             factor = np.linalg.cholesky(covariance)
             self._inverse = np.asarray(np.linalg.inv(factor))
             self.log_det = 2 * float(np.log(np.diag(factor)).sum())
@@ -248,8 +248,8 @@ class ChannelWeights:
         made._covariance = self._covariance * ratio
         made.scale = self.scale / root
         made._inverse = None if self._inverse is None else self._inverse / root
-        made._across = None if self._across is None else self._across * ratio
-        made._predicted = None if self._predicted is None else self._predicted * root
+        made._across = None if self._across is None else self._across.times(ratio)
+        made._predicted = None if self._predicted is None else self._predicted.times(root)
         made.residual = self.residual / root
         squares = float(self.residual @ self.residual)
         made.log_likelihood = self.log_likelihood + 0.5 * (1 - 1 / ratio) * squares
@@ -267,7 +267,7 @@ class ChannelWeights:
             self._root[owners], self._root[owners]
         )
         if self._across is not None:
-            across = self._across[np.ix_(owners, chosen)] * self._root[owners, None]
+            across = self._across.dense()[np.ix_(owners, chosen)] * self._root[owners, None]
             out[at] += across
             out[:, at] += across.T
         return out
@@ -284,22 +284,25 @@ class ChannelWeights:
 
         def within_segments(columns: Array) -> Array:
             out = (columns.T * scale).T
-            if among is not None:
-                full = np.zeros((len(rows), *columns.shape[1:]))
-                full[chosen] = out
-                out = among.apart(full)[chosen]
-            return out
+            return out if among is None else among.apart(everywhere(out))[chosen]
+
+        def everywhere(columns: Array) -> Array:
+            full = np.zeros((len(rows), *columns.shape[1:]))
+            full[chosen] = columns
+            return full
 
         covariance, predicted = self._covariance[np.ix_(owners, owners)], None
         if self._across is not None:
-            predicted = within_segments(self._across[np.ix_(owners, chosen)].T).T
-            covariance = covariance - predicted @ predicted.T
+            predicted = self._across.of(everywhere(within_segments(self._across.columns[chosen])))
+            covariance = covariance - predicted.squared()[np.ix_(owners, owners)]
         inverse = np.linalg.inv(np.linalg.cholesky(covariance))
 
         def whiten(columns: Array) -> Array:
             out = within_segments(columns)
             means = (columns[at].T / root).T
-            out[at] = inverse @ (means if predicted is None else means - predicted @ out)
+            if predicted is not None:
+                means = means - predicted.product(everywhere(out))[owners]
+            out[at] = inverse @ means
             return out
 
         return whiten
@@ -314,7 +317,7 @@ class ChannelWeights:
         if self._inverse is not None:
             means = columns[self._means] / self._root[:, None]
             if self._predicted is not None:
-                means -= self._predicted @ out
+                means -= self._predicted.product(out)
             out[self._means] = self._inverse @ means
         return out
 
@@ -325,7 +328,7 @@ class ChannelWeights:
         if self._inverse is not None:
             means = np.linalg.solve(self._inverse, whitened[self._means])
             if self._predicted is not None:
-                means += self._predicted @ whitened
+                means += self._predicted.product(whitened)
             out[self._means] = means * self._root[:, None]
         return out
 
