@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from planrunner.gap.evidence import slow_noise
+from planrunner.gap.hypotheses.candidates import Weighing
+from tests.gap.turntable import record
 
 STARTS, ENDS = np.array([0.0, 7.0, 30.0]), np.array([5.0, 19.0, 34.0])
 
@@ -46,3 +50,36 @@ def test_flicker_has_its_floor() -> None:
     for seconds in (10.0, 100.0, 1000.0):
         covariance = slow_noise.flicker(np.array([0.0, seconds]), np.array([seconds, 2 * seconds]))
         assert np.sqrt(0.5 * np.array([1, -1]) @ covariance @ np.array([1, -1])) == pytest.approx(0.664, rel=0.06)
+
+
+def test_what_a_walk_does_within_a_segment_continues_in_later_means() -> None:
+    """The covariances of the means with the coefficients, written out, against their products."""
+    draw = np.random.default_rng(3)
+    size, own, afterwards = [3, 1, 4, 2], draw.standard_normal(10), draw.standard_normal(10)
+    segment = np.repeat(np.arange(4), size)
+    dense = np.where(segment == np.arange(4)[:, None], own, np.where(segment < np.arange(4)[:, None], afterwards, 0.0))
+    found = slow_noise.WalkAcross(own, afterwards, np.array([0, 3, 4, 8]))
+    columns = draw.standard_normal((10, 5))
+    assert found.dense() == pytest.approx(dense)
+    assert found.product(columns) == pytest.approx(dense @ columns)
+    assert found.squared() == pytest.approx(dense @ dense.T)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 4.0])
+def test_segments_may_have_another_sample_rate(factor: float) -> None:
+    """Every sixth segment is sampled at another rate than the others; its steps are those of its own samples."""
+    other, usual = record(seed=3, sampling=10.0 * factor), record(seed=3, sampling=10.0)
+    taken = [other if index % 6 == 0 else usual for index in range(len(usual))]
+    parts = [one.segments()[index] for index, one in enumerate(taken)]
+    names = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
+    mixed = replace(
+        usual,
+        bounds=np.concatenate([[0], np.cumsum([part.stop - part.start for part in parts])]),
+        **{
+            name: np.concatenate([getattr(one, name)[part] for one, part in zip(taken, parts, strict=True)])
+            for name in names
+        },
+    )
+    weights = Weighing(mixed).weights[0]
+    assert any(one.walk > 0 for one in weights)
+    assert all(np.isfinite(one.log_likelihood) for one in weights)

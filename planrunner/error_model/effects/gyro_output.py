@@ -122,7 +122,8 @@ class GyroSaturation(Shaped):
     def grid(self, observed: Observed) -> Array:
         if not observed.of_kind("gyro") or not observed.turn.any():
             return np.empty(0)
-        return float(observed.largest_gyro_output.max()) / DEG * (1 - np.geomspace(0.6, 1e-7, 32))
+        depth = np.concatenate([np.linspace(0.95, 0.65, 7), np.geomspace(0.6, 1e-7, 32)])
+        return float(observed.largest_gyro_output.max()) / DEG * (1 - depth)
 
     def at(self, observed: Observed, value: float) -> Variant:
         return _clipped(observed, value, (-value * DEG, value * DEG))

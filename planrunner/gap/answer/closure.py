@@ -50,6 +50,7 @@ shrinks the gap of the held-out segments only by 1 − √(1 − t), which is 0.
 describe the plan, not the effect."""
 KINDS = ("gyro", "accel")
 FLICKER_LEVELS = (0.0, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)  # relative to the declared level
+EXCESS = 0.01  # p-value below which the residuals of a group contain more than noise
 SMALLEST = 1e-4  # of the measured variance of the noise, relative to its model
 SHAPES = 6  # number of shapes of an effect besides the best one
 UNLIKELY = 8.0
@@ -426,7 +427,9 @@ def measured_noise(
         for kind in KINDS:
             weights = _with_measured_flicker(weighing, choice, weights, group, kind)
     left = _left(weighing, choice, weights, group)
-    limits = (left.ratio >= 1) & (not explained)
+    from scipy.stats import chi2
+
+    limits = (chi2.sf(left.squares, left.degrees) < EXCESS) & (not explained)
     scale = np.sqrt(np.maximum(np.where(limits, 1.0, left.ratio), SMALLEST))
     return MeasuredNoise(tuple(weights), tuple(scale[own] for own in group), group, left.degrees, limits)
 

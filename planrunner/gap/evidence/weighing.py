@@ -51,8 +51,8 @@ class Setting:
 
     `flicker`: factor by which the declared flicker level is multiplied. `walk`: level of the random walk in SI/√s. If `alike` is
     True, `walk` is the density of the random walk in every axis; otherwise it is the scale of the prior from which the density of
-    each axis is drawn. `prior`: prior probability of this setting. The prior probabilities of all settings with a random walk add
-    up to 1. The prior probabilities of all settings without a random walk also add up to 1.
+    each axis is drawn. `prior`: prior probability of this setting. The prior probabilities of all settings without a random walk add up
+    to 1. With a random walk, those of energies up to `STRONGEST` add up to 1; the density continues above `STRONGEST`.
     """
 
     flicker: float

@@ -272,15 +272,18 @@ class Weighing:
         return np.column_stack(each)
 
     def _scatter(self) -> Array:
-        """Returns quantiles (K, Q) of the noise of a sample at rest, SI. The noise is assumed to be normal if the recording contains
-        means over bins, or if no segment is at rest."""
+        """Returns quantiles (K, Q) of the noise of a sample at rest, SI. Samples that were replaced are left out. The noise is
+        assumed to be normal if the recording contains means over bins, or if few samples are left."""
         from scipy.special import ndtri
 
         observed, share = self.observed, (np.arange(_QUANTILES) + 0.5) / _QUANTILES
         still = np.array([isinstance(motion, Rest) for motion in observed.motions])[observed.owner]
-        if observed.bins is not None or not still.any():
-            return np.outer(self.white, ndtri(share))
-        return np.asarray(np.quantile(self.spectrum.remainder[still], share, axis=0).T)
+        found = np.outer(self.white, ndtri(share))
+        for index, own in enumerate(self.spectrum.remainder[still].T if observed.bins is None else ()):
+            used = own[own != 0]
+            if len(used) >= _QUANTILES:
+                found[index] = np.quantile(used, share)
+        return np.asarray(found)
 
     def nominal_values(
         self, taken: Sequence[Array] | None = None, change: Sequence[Array] | None = None

@@ -201,10 +201,20 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
     """Returns the forms around the most probable shape, in equal steps of the logarithm of the shape, and their probabilities. If
     the data require the opposite sign, no form explains the data better than no effect, and the result is empty. If the search
     alternates between shapes or does not converge, the most probable of the visited shapes is used, with the nominal parameters
-    that were fitted for it."""
+    that were fitted for it. The search for an effect on the output starts from the fitted nominal parameters or from the declared
+    sensor, whichever explains more: if most readings are limited, the fitted scale factors are far too small."""
+    starts: list[Sequence[Array] | None] = [None]
+    if on_output(effect) is not None:
+        starts.append([np.zeros(whole.shape[1]) for whole in weighing.whole])
     seen, found, before = weighing.observed, np.nan, np.nan
     likeliest = (-np.inf, seen, np.nan, np.nan)
     values: Sequence[Array] | None = None
+    for start in starts:
+        at = weighing.observed if start is None else weighing.seen(start)
+        shape, sigma = _most_probable(weighing, effect, at, found)
+        (form,) = weighing.weigh([effect.at(at, shape)])
+        if _evidence(weighing, form) > likeliest[0]:
+            likeliest, values, seen = (_evidence(weighing, form), at, shape, sigma), start, at
     for _ in range(_STEPS):
         shape, sigma = _most_probable(weighing, effect, seen, found)
         (best,) = weighing.weigh([effect.at(seen, shape)])

@@ -82,10 +82,10 @@ def settled(
         fixed = [raw.sum(axis=1) * amplitude - own @ at for raw, own, at in zip(caused, change, found, strict=True)]
         before, found = found, weighing.nominal_values(fixed, change)
         moved = [
-            whole @ (new - old) / white
-            for whole, new, old, white in zip(weighing.whole, found, before, weighing.white, strict=True)
+            own[0].whiten(whole @ (new - old)[:, None])
+            for own, whole, new, old in zip(weighing.weights, weighing.whole, found, before, strict=True)
         ]
-        if number >= len(_WIDTHS) - 1 and max(float(part @ part) for part in moved) < _STILL**2:
+        if number >= len(_WIDTHS) - 1 and max(float((part**2).sum()) for part in moved) < _STILL**2:
             break
     return found
 
