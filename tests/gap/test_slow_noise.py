@@ -71,14 +71,20 @@ def test_segments_may_have_another_sample_rate(factor: float) -> None:
     other, usual = record(seed=3, sampling=10.0 * factor), record(seed=3, sampling=10.0)
     taken = [other if index % 6 == 0 else usual for index in range(len(usual))]
     parts = [one.segments()[index] for index, one in enumerate(taken)]
-    names = ("time", "angle", "rate", "acceleration", "temperature", "temperature_rate", "values")
+
+    def of(name: str) -> np.ndarray:
+        return np.concatenate([getattr(one, name)[part] for one, part in zip(taken, parts, strict=True)])
+
     mixed = replace(
         usual,
         bounds=np.concatenate([[0], np.cumsum([part.stop - part.start for part in parts])]),
-        **{
-            name: np.concatenate([getattr(one, name)[part] for one, part in zip(taken, parts, strict=True)])
-            for name in names
-        },
+        time=of("time"),
+        angle=of("angle"),
+        rate=of("rate"),
+        acceleration=of("acceleration"),
+        temperature=of("temperature"),
+        temperature_rate=of("temperature_rate"),
+        values=of("values"),
     )
     weights = Weighing(mixed).weights[0]
     assert any(one.walk > 0 for one in weights)
