@@ -37,7 +37,9 @@ def acknowledged(run: Path) -> list[str]:
 
 
 def results(run: Path) -> bytes:
-    newest = max((run / "analyses").iterdir(), key=lambda path: int(path.name))
+    """The results of the newest analysis. A process that was killed may leave an unfinished analysis, whose name begins with a dot."""
+    finished = [path for path in (run / "analyses").iterdir() if not path.name.startswith(".")]
+    newest = max(finished, key=lambda path: int(path.name))
     return (newest / "results.json").read_bytes()
 
 
