@@ -23,12 +23,12 @@ directions.DIRECTIONS[{WORD!r}] = {DIRECTION!r}
 import numpy as np
 from planrunner.gap.answer.where import _words
 from planrunner.instruments.table_keys import AxisSpec
-from planrunner.plan import model
 from planrunner.base.findings import Findings
 from planrunner.plan.kinds import Schema
 from planrunner.plan.orientation import OrientationKind, in_words
 from planrunner.plan.reference import type_words
 from planrunner.plan.rewriting import cardinal_orientations, orientation_text
+from planrunner.plan.segments import MotionSpec
 from planrunner.plan.source import parse
 from planrunner.reporting import words
 
@@ -43,7 +43,7 @@ def choices(record, name):
 axes = np.array([{DIRECTION!r}, (0.0, 0.0, 1.0), np.cross({DIRECTION!r}, (0.0, 0.0, 1.0))])
 print(json.dumps({{
     "orientation": OrientationKind().schema()["anyOf"][1]["properties"]["x"]["enum"],
-    "about": choices(model.MotionSpec, "about"),
+    "about": choices(MotionSpec, "about"),
     "axis": choices(AxisSpec, "direction"),
     "read": read("{{x: south-east, y: up}}"),
     "misspelt": read("{{x: south-eest, y: up}}"),
@@ -52,7 +52,7 @@ print(json.dumps({{
     "in words": in_words(axes),
     "spin": words.direction({DIRECTION!r}),
     "level": _words(axes),
-    "reference": type_words(next(i.metadata["kind"] for i in model.MotionSpec.__dataclass_fields__.values() if i.name == "about")),
+    "reference": type_words(next(i.metadata["kind"] for i in MotionSpec.__dataclass_fields__.values() if i.name == "about")),
     "cardinal": [one.tolist() for one in cardinal_orientations()],
     "written": orientation_text(axes),
 }}))
