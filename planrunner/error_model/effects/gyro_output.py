@@ -255,9 +255,13 @@ def _clipped(observed: Observed, shape: float, limits: tuple[float, float]) -> V
 def _mean_of_smaller(noise: Array, distance: Array) -> Array:
     """Returns the mean of min(n, d) over the noise n for each distance d (N,). `noise`: array of shape (Q,), sorted values with the
     mean 0."""
-    below = np.arange(1, len(noise) + 1)
-    means = (np.cumsum(noise) + (len(noise) - below) * noise) / len(noise)
-    return np.where(distance < noise[0], distance, np.interp(distance, noise, means))
+    found = np.minimum(distance, 0.0)
+    near = np.flatnonzero((distance > noise[0]) & (distance < noise[-1]))
+    if len(near):
+        below = np.arange(1, len(noise) + 1)
+        means = (np.cumsum(noise) + (len(noise) - below) * noise) / len(noise)
+        found[near] = np.interp(distance[near], noise, means)
+    return np.asarray(found)
 
 
 def _changed(
