@@ -67,7 +67,7 @@ def test_what_a_walk_does_within_a_segment_continues_in_later_means() -> None:
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 4.0])
 def test_segments_may_have_another_sample_rate(factor: float) -> None:
-    """Every sixth segment is sampled at another rate than the others; its steps are those of its own samples."""
+    """Every sixth segment has another sample rate than the other segments."""
     other, usual = record(seed=3, sampling=10.0 * factor), record(seed=3, sampling=10.0)
     taken = [other if index % 6 == 0 else usual for index in range(len(usual))]
     parts = [one.segments()[index] for index, one in enumerate(taken)]

@@ -93,7 +93,7 @@ def random_walk_within(vectors: Array, step: float) -> tuple[Array, Array, Array
 @dataclass(frozen=True)
 class WalkAcross:
     """Contains the covariances of the segment means with the M coefficients within the segments that a random walk causes. A coefficient
-    has one covariance with the mean of its own segment, another with the means of all later segments, and none with the means of
+    has one covariance with the mean of its own segment, another with the means of all later segments, and no covariance with the means of
     earlier segments.
 
     `own`, `afterwards`: arrays of shape (M,), these two covariances. `first`: array of shape (S,), index of the first coefficient of

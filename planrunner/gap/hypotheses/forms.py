@@ -206,35 +206,33 @@ def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float
     starts: list[Sequence[Array] | None] = [None]
     if on_output(effect) is not None:
         starts.append([np.zeros(whole.shape[1]) for whole in weighing.whole])
-    seen, found, before = weighing.observed, np.nan, np.nan
-    likeliest = (-np.inf, seen, np.nan, np.nan)
-    values: Sequence[Array] | None = None
-    for start in starts:
-        at = weighing.observed if start is None else weighing.seen(start)
-        shape, sigma = _most_probable(weighing, effect, at, found)
-        (form,) = weighing.weigh([effect.at(at, shape)])
-        if _evidence(weighing, form) > likeliest[0]:
-            likeliest, values, seen = (_evidence(weighing, form), at, shape, sigma), start, at
+    found = []
+    for values in starts:
+        seen = weighing.observed if values is None else weighing.seen(values)
+        shape, sigma = _most_probable(weighing, effect, seen, np.nan)
+        (best,) = weighing.weigh([effect.at(seen, shape)])
+        found.append((_evidence(weighing, best), seen, shape, sigma, values, best))
+    evidence, seen, shape, sigma, values, best = max(found, key=lambda one: one[0])
+    likeliest, last = (evidence, seen, shape, sigma), np.nan
     for _ in range(_STEPS):
-        shape, sigma = _most_probable(weighing, effect, seen, found)
+        values = _together(weighing, effect, best, values)
+        seen, before, last = weighing.seen(values), last, shape
+        shape, sigma = _most_probable(weighing, effect, seen, last)
         (best,) = weighing.weigh([effect.at(seen, shape)])
         likeliest = max(likeliest, (_evidence(weighing, best), seen, shape, sigma), key=lambda one: one[0])
-        if abs(np.log(shape / found)) < _SAME * sigma:
+        if abs(np.log(shape / last)) < _SAME * sigma:
             break
         if abs(np.log(shape / before)) < _SAME * sigma:
             _, seen, shape, sigma = likeliest
             break
-        found, before = shape, found
-        values = _together(weighing, effect, best, values)
-        seen = weighing.seen(values)
     else:
         _, seen, shape, sigma = likeliest
     near = shape * np.exp(sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
     weighed = weighing.weigh([effect.at(seen, float(value)) for value in near])
-    evidence = np.array([_evidence(weighing, item) for item in weighed])
-    if evidence.max() < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
+    each = np.array([_evidence(weighing, item) for item in weighed])
+    if each.max() < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
         return []
-    share = np.exp(evidence - evidence.max())
+    share = np.exp(each - each.max())
     return list(zip(weighed, (share / share.sum()).tolist(), strict=True))
 
 

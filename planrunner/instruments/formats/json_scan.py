@@ -17,7 +17,7 @@ MAX_VALUE = 1 << 22
 _DEEPEST = 50  # levels of nested values
 _SPACE = re.compile(r"[ \t\r\n]*")
 _WORDS = ("true", "false", "null", "NaN", "Infinity", "-Infinity")
-_ESCAPE = 6  # characters of \\uXXXX
+_ESCAPE = 6  # characters of an escape such as \\u00e9
 _PART = re.compile(r"\.|[eE][+-]?")  # end of an incomplete number
 _NUMBERED = re.compile(r'"\d+"')
 
