@@ -46,8 +46,8 @@ from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
 LEAST_LEFT = 2
 """Smallest number of degrees of freedom of all outputs together."""
 SUSPECTED = 2 * SIGNIFICANCE
-"""p-value below which a drift is suspected although it is not adopted. With this limit, all tests of a fit together give a false
-warning in less than one of twenty fits of two outputs."""
+"""p-value below which a drift is suspected although it is not adopted. With this limit, fewer than one in twenty fits of two
+outputs give a false warning; this number covers all tests of a fit together."""
 FEW = 4
 """Number of degrees of freedom of an output below which a drift that changes coefficients can remain unnoticed."""
 DOUBTED = 0.2
@@ -59,8 +59,8 @@ _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SuspectedDrift:
-    """Describes a drift function that is not fitted, although the data do not exclude a drift large enough to matter. The other
-    fields describe the coefficient that the drift function affects most.
+    """Describes a drift function (`course`) that is not fitted, although the data do not exclude a drift large enough to matter.
+    The other fields describe the coefficient that this drift function affects most.
 
     `output`, `term`: indices of the output and of the term of this coefficient. `growth`: factor by which the standard uncertainty
     of the coefficient grows if the drift function is fitted; infinite if the segments cannot separate the drift function from the
@@ -396,8 +396,8 @@ def _chance(
     correlation: Array,
 ) -> float:
     """Returns the probability that chance alone reduces χ² as much as the drift function does, in one output or in all outputs
-    together (F-tests, Bonferroni's bound). If the noise of the outputs is correlated, they count as fewer outputs, according to
-    Satterthwaite's formula."""
+    together (F-tests, Bonferroni's bound). Outputs with correlated noise count as fewer outputs, according to Satterthwaite's
+    formula."""
     from scipy.special import fdtrc
 
     r, left = course.columns.shape[1], after[0].degrees_of_freedom

@@ -217,7 +217,7 @@ def _proposal(designs: Sequence[_Design]) -> str:
 
 def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | None:
     """Returns a better order of the segments, and the largest growth factor in this order; None if the segments cannot be exchanged
-    freely. In each step, the search exchanges the two segments for which this reduces the largest growth factor most."""
+    freely. In each step, the search exchanges the two segments whose exchange reduces the largest growth factor most."""
     one = designs[0]
     same = all(other.block.labels == one.block.labels for other in designs)
     alike = np.ptp(one.seconds[one.rows]) < 1e-6 and len({segment.temperature for segment in one.segments}) == 1

@@ -24,8 +24,8 @@ class OpenFlicker:
     """Describes the flicker of a channel if it may be larger than an estimate assumes.
 
     `bound`: the largest bias instability B that the data do not exclude, in `unit`. If B has this value, the intervals of the
-    coefficients are too narrow. `coefficient`: name of the coefficient that this affects most. `widening`: the factor by which its
-    interval would have to be widened.
+    coefficients are too narrow. `coefficient`: name of the coefficient whose interval is affected most. `widening`: the factor by
+    which this interval would have to be widened.
     """
 
     channel: str

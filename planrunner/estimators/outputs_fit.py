@@ -53,27 +53,20 @@ def uncertainty_basis(scatter: str = "segments about the model", within: str = "
 class OutputsFit:
     """Contains the fit of m outputs to n segments, with p terms for each output. The fit may also contain a drift with q columns.
 
-    `units`: units of the outputs.
-    `labels`: labels of the segments.
-    `matrix`: array of shape (n, p), the columns of the terms.
-    `names`: names of the p terms.
-    `fits`: for each output, the fit with all P = p + q columns.
-    `noises`: for each output, the noise within the segments.
-    `spreads`: array of shape (m, n), standard uncertainties for the weights, without the effects. The standard uncertainties
-    include the noise within the segments and, if needed, an additional standard deviation between segments (`between_segments`).
-    `between`: array of shape (m,), the additional standard deviation between segments; 0 if it is not needed.
-    `ratios`: array of shape (m,), residual variance divided by the variance expected from noise and effects.
-    `effects`: the effects that the weights include.
-    `unweighted`: effects that the weights do not include, because the noise of an output is not known.
-    `pooled`: True if one variance factor applies to all outputs, which requires that the proportions of the outputs' noise are known
-        beforehand.
-    `pooled_freedom`: degrees of freedom of this variance factor.
-    `drift`: the drift functions (powers of the time or recorded temperatures) that are fitted together with the terms.
-    `all_gains`: array of shape (m, P, n), derivatives of the coefficients of all P columns with respect to the observations.
-    `all_cofactors`: for each basis, an array of shape (m, P, m, P), the covariance of the coefficients of all P columns without the
-        variance factors.
-    `within`: number of observations, the last ones, that are not means of segments (`Observations`).
-    `unstated`: effects of unknown size, each described for a size of one unit. The fit does not include them.
+    `units`: units of the outputs. `labels`: labels of the segments. `matrix`: array of shape (n, p), the columns of the terms.
+    `names`: names of the p terms. `fits`: for each output, the fit with all P = p + q columns. `noises`: for each output, the noise
+    within the segments. `spreads`: array of shape (m, n), standard uncertainties for the weights, without the effects. The standard
+    uncertainties include the noise within the segments and, if needed, an additional standard deviation between segments
+    (`between_segments`). `between`: array of shape (m,), the additional standard deviation between segments; 0 if it is not needed.
+    `ratios`: array of shape (m,), residual variance divided by the variance expected from noise and effects. `effects`: the effects
+    that the weights include. `unweighted`: effects that the weights do not include, because the noise of an output is not known.
+    `pooled`: True if one variance factor applies to all outputs, which requires that the proportions of the outputs' noise are
+    known beforehand. `pooled_freedom`: degrees of freedom of this variance factor. `drift`: the drift functions (powers of the time
+    or recorded temperatures) that are fitted together with the terms. `all_gains`: array of shape (m, P, n), derivatives of the
+    coefficients of all P columns with respect to the observations. `all_cofactors`: for each basis, an array of shape (m, P, m, P),
+    the covariance of the coefficients of all P columns without the variance factors. `within`: number of observations at the end
+    that are not means of segments (`Observations`). `unstated`: effects of unknown size, each described for a size of one unit. The
+    fit does not include them.
     """
 
     outputs: tuple[str, ...]
@@ -182,7 +175,7 @@ class OutputsFit:
 
     def unstated_flicker(self, functionals: Array | None = None) -> tuple[UnstatedFlicker, ...]:
         """Returns how flicker of unstated size changes the coefficients, which are listed output after output. If functionals (q,
-        m, n) are given, returns how it changes these linear functions of the observations instead."""
+        m, n) are given, returns how the flicker changes these linear functions of the observations instead."""
         if not self.unstated:
             return ()
         acting = functionals_of(self.gains) if functionals is None else functionals
@@ -339,8 +332,8 @@ class _Weighting:
     array of shape (m, n), standard deviations of the noise. `whitening`: array of shape (m, n, n), matrices that make observations
     with noise and effects uncorrelated, each with the variance one; None without effects. The computation of `whitening` takes n³
     operations, so all fits with the same weights share it. `expected`: True if the observations are expected values without noise;
-    then χ² is replaced by its expectation. `within`: number of observations, the last ones, that are not means of segments; no
-    scatter between segments is added to them.
+    then χ² is replaced by its expectation. `within`: number of observations at the end that are not means of segments; no scatter
+    between segments is added to them.
     """
 
     matrix: Array
@@ -378,9 +371,8 @@ class _Weighting:
         return _Fitted(tuple(found), _gains(found, weighted), spreads, between, ratios, whitening)
 
     def equal(self) -> _Fitted:
-        """Returns the fits in which all segments have equal weights. For the comparison of the residuals with the noise, a second
-        fit is made, which is weighted by noise and effects. With equal weights, a few large residuals would decide the
-        comparison."""
+        """Returns the fits in which all segments have equal weights. The residuals are compared with the noise in a second fit,
+        which is weighted by noise and effects, because with equal weights a few large residuals would decide the comparison."""
         spreads = np.broadcast_to(np.sqrt(np.mean(self.sigma**2, axis=1, keepdims=True)), self.sigma.shape)
         whitening = _whitening(spreads, self.roots)
         found = self._fits(spreads, None)

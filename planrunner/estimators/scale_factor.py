@@ -292,9 +292,9 @@ def _common(
         return ()
 
     def answered(moved: Array) -> Array:
-        """Returns, except for a constant, the coefficients that the fit would give if the rates were `moved`. The outputs stay the
-        same. If their expected values change by some amount, the fit therefore changes as if the outputs had changed by the
-        opposite amount."""
+        """Returns, except for a constant, the coefficients that the fit would give if the rates were `moved`. The outputs
+        themselves stay the same. A change of their expected values therefore has the same effect on the fit as the opposite change
+        of the outputs."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])

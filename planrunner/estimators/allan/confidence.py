@@ -9,8 +9,8 @@ Sources: W. J. Riley and C. A. Greenhall, Power law noise identification using t
 SP 1065, 5.5.6); C. A. Greenhall and W. J. Riley, Uncertainty of stability variances based on finite differences, 35th PTTI, 2003
 (SP 1065, 5.4.1). The phase is computed from rate samples, so it is the exact integral of the rate, not an average over a sampling
 interval. Therefore the filter factor is F = ∞ for α ≤ 0. For white noise, the resulting degrees of freedom agree with the empirical
-formula of SP 1065, even at the shortest averaging times. For sums whose length grows with the averaging factor, a coarser grid is
-used, which covers the same number of averaging times.
+formula of SP 1065, even at the shortest averaging times. A sum whose length grows with the averaging factor is evaluated on a
+coarser grid, which covers the same number of averaging times.
 """
 
 from __future__ import annotations
@@ -162,8 +162,8 @@ def _integrated(t: Array, alpha: int) -> Array:
 
 
 def interval(deviation: float, freedom: float, probability: float) -> tuple[float, float]:
-    """Returns the two-sided confidence interval of a deviation. Its variance follows a χ² distribution with `freedom` degrees of
-    freedom."""
+    """Returns the two-sided confidence interval of a deviation. The square of the deviation follows a χ² distribution with
+    `freedom` degrees of freedom."""
     from scipy.special import chdtri
 
     low = deviation * math.sqrt(freedom / float(chdtri(freedom, (1 - probability) / 2)))

@@ -3,8 +3,8 @@
 A record may contain more than noise. A filter or a periodic disturbance changes the deviations at short averaging times; a warm-up
 changes the deviations at long averaging times; a steady drift looks like a random walk. The first fit uses all averaging times. If
 some averaging times contradict the model, averaging times are omitted at the ends of the range, but as few as possible. Allan
-variances cannot distinguish a random walk from a drift. If they show a drift or a random walk, Hadamard variances are fitted
-instead. In both cases, the coefficients are then right, and only slightly less certain.
+variances cannot distinguish a random walk from a drift. If they show one of the two, Hadamard variances are fitted instead. The
+coefficients are then right for a random walk as well as for a drift, and only slightly less certain.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from planrunner.estimators.allan.table import Deviation
 
 _DOUBT = 0.01  # probability of a χ² at least this large, below which the model is refused
 _BELIEF = 0.2
-"""The limit that replaces `_DOUBT` when a range of averaging times is searched for. The first range that `_DOUBT` does not refuse
-would still be distorted. The value is not derived; it was chosen with two simulated records in which rounding errors are carried
-over to the next sample. In these records, a limit of 0.01 gave errors of N of 1 to 2 standard uncertainties."""
+"""The limit that replaces `_DOUBT` in the search for a range of averaging times. With `_DOUBT` as the limit, the search would stop
+at a range that is still distorted. The value is not derived; it was chosen with two simulated records in which rounding errors are
+carried over to the next sample. In these records, a limit of 0.01 gave errors of N of 1 to 2 standard uncertainties."""
 _NEGATIVE = 4.0  # standard uncertainties by which a square may be negative by chance
 _SPARE = 2  # averaging times more than terms that a range needs
 _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
@@ -57,9 +57,9 @@ class DescribedRange:
         times.
 
         The end of the range was chosen by the same deviations that are fitted. The cause that changed the omitted deviations also
-        changes the neighbouring deviations, but by less than the χ² test can show. This distortion is estimated from the change of
-        the coefficients with one averaging time fewer. Only the part of the change that exceeds chance is used. The distortion
-        counts as a systematic error that is not corrected (JCGM 100:2008, F.2.4.5)."""
+        changes the neighbouring deviations, but by less than the χ² test can show. The resulting distortion of the coefficients is
+        estimated: it is the change of the coefficients if one more averaging time is omitted, minus the part of this change that
+        chance explains. The distortion counts as a systematic error that is not corrected (JCGM 100:2008, F.2.4.5)."""
         return np.asarray(self.fit.covariance + self.distortions.T @ self.distortions)
 
     @cached_property

@@ -246,8 +246,8 @@ def _not_too_sure(
     full: Array, free: Array, squares: Array, chosen: Sequence[int], covariance_of: VarianceCovariance, gains: Array
 ) -> Array:
     """Returns the covariance of the squared coefficients, shape (4, 4). If a coefficient cannot be distinguished from zero, its
-    covariance is enlarged: it is computed for a larger coefficient, two standard uncertainties above the estimate. Otherwise, if a
-    coefficient is too small by chance, its uncertainty would be too small as well."""
+    covariance is enlarged: it is computed for a larger coefficient, two standard uncertainties above the estimate. Without this
+    enlargement, a coefficient that is too small by chance would get too small an uncertainty as well."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])

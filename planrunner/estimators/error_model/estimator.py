@@ -481,8 +481,8 @@ def _padded(rows: Array, contrasts: Contrasts | None) -> Array:
 
 
 def _extended(error: CorrelatedError, contrasts: Contrasts | None, own: bool = False) -> CorrelatedError:
-    """Extends an error of the means to the contrasts within segments, which it does not change. `own`: True for flicker, which also
-    changes the contrasts."""
+    """Adds the contrasts within segments to an error of the means. Most errors do not change the contrasts, so their entries for
+    the contrasts are zero. `own`: True for flicker, which also changes the contrasts."""
     if contrasts is None or not len(contrasts.sigma):
         return error
     changes = {}

@@ -192,8 +192,8 @@ def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
     found: list[_Part] = []
 
     def add(name: str, text: str, of: RowFormula, words: Said, si: float = own.factor) -> None:
-        """Adds a reported quantity of the output. `text`: unit of the reported quantity. `si`: SI value of the unit of the result
-        of `of`."""
+        """Adds a reported quantity of the output. `text`: unit of the reported quantity. `si`: SI value of the unit in which `of`
+        gives its result."""
         try:
             factor = si / unit(text).factor
         except UnknownUnitError as error:

@@ -1,10 +1,10 @@
 """Estimates bias, scale factor, misalignment and g-sensitivity of an IMU's triads from positions at rest and from rates about each
 axis.
 
-Each output is fitted by a linear model of named terms at the mean stimulus of every segment, which includes the Earth's rotation
-(IEEE Std 1431, IEEE Std 1293; Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 8). Gyros use all segments.
-Accelerometers use only segments at rest. During a spin, an accelerometer senses centripetal acceleration, except if it is on the
-rotation axis.
+Each output is fitted by a linear model of named terms at the mean stimulus of every segment (IEEE Std 1431, IEEE Std 1293;
+Titterton and Weston, Strapdown Inertial Navigation Technology, chapter 8). The stimulus includes the Earth's rotation. Gyros use
+all segments. Accelerometers use only segments at rest. During a spin, an accelerometer senses centripetal acceleration, except if
+it is on the rotation axis.
 
 The report contains tables of the matrices and their inverses, and notes that explain how to apply them.
 """

@@ -3,8 +3,9 @@ navigations with rotation.
 
 Each navigation is a `strapdown_navigation` estimate. The errors of the navigations over their common time give the ratio of CEP
 rates and the suppression of the position error. Over whole cycles, the part of the error that repeats with the cycle is separated
-and compared with a prediction. The prediction is computed from the declared constant errors, and from the residual and the
-harmonics of the cycle. docs/rotation-cycles.md gives the theory and results.
+and compared with a prediction. The prediction is computed from the declared constant errors, from the harmonics of the cycle, and
+from its residual, which is the part of an error that the cycle does not cancel. docs/rotation-cycles.md gives the theory and
+results.
 """
 
 from __future__ import annotations
@@ -346,8 +347,8 @@ def _plots(navigations: Sequence[Navigation]) -> tuple[Plot, ...]:
 
 
 def _left(segment: Segment, request: DesignRequest[ModulationResidualParameters]) -> str:
-    """Returns a sentence that states the residual of a planned cycle, and the position error that the declared horizontal errors
-    cause due to this residual."""
+    """Returns a sentence that states the residual of a planned cycle (the part of an error that the cycle does not cancel), and the
+    resulting position error for the declared horizontal errors."""
     table, declared = request.setup.table, request.parameters.declared
     cycle = rotation(segment.motion, table)
     assert cycle is not None

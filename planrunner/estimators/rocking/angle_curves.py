@@ -1,5 +1,5 @@
-"""Computes curves of the drift angle over each whole run, for readers. The method computes the drift from two time windows, which
-are parts of these curves.
+"""Computes curves of the drift angle over each whole run, for readers. The results do not depend on these curves: the estimator
+computes the drift from two time windows only.
 
 Accelerometer samples are averaged over bins of whole rocking periods, so that the rocking cancels. One pass over the samples gives
 a few hundred numbers per run.

@@ -146,7 +146,8 @@ def _table(points: Array, uncertainty: Array) -> Table:
 
 
 def _constants(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> tuple[Table, ...]:
-    """Returns a table of the constant errors that the alignment estimates if the sensor is turned during the alignment."""
+    """Returns a table of the constant errors that the alignment estimates. The result is empty if the sensor is not turned during
+    the alignment, because the alignment then estimates no constant errors."""
     if not found.aligned.turned:
         return ()
     alignment = found.aligned.alignment

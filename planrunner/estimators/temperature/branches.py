@@ -23,7 +23,7 @@ def branches(temperature: Array, least: float) -> Integers:
     """Divides successive temperatures [degC] into rising and falling branches. Returns, for each of the n temperatures, the index
     of its branch, counted from 0.
 
-    A branch ends at an extreme value if the temperature then moves back by more than two limits: `least` [K], and a tenth of the
+    A branch ends at an extreme value if the temperature then moves back by more than `least` [K] and by more than a tenth of the
     range of all temperatures.
     """
     number = np.zeros(len(temperature), dtype=np.int64)
@@ -47,10 +47,10 @@ def branches(temperature: Array, least: float) -> Integers:
 
 
 def approached(temperature: Sequence[float], least: float) -> tuple[Integers, Integers]:
-    """Determines the direction from which each of n temperatures was reached: +1 from below, −1 from above. Also returns, for each
-    temperature, the index of the sweep to which it belongs. The temperatures were held one after the other. The temperatures before
-    the first change belong to the first sweep. If the temperature never changes, the directions are 0 and the indices −1. A change
-    of at most `least` [K] counts as no change."""
+    """Determines the direction from which each of n temperatures was reached: +1 from below, −1 from above. The temperatures were
+    held one after the other. Also returns, for each temperature, the index of the sweep to which it belongs. The temperatures
+    before the first change belong to the first sweep. If the temperature never changes, the directions are 0 and the indices −1. A
+    change of at most `least` [K] counts as no change."""
     direction = np.zeros(len(temperature), dtype=np.int64)
     for place in range(1, len(temperature)):
         change = temperature[place] - temperature[place - 1]

@@ -222,8 +222,8 @@ def _acting(
     """Returns the influences of stated inputs on the offsets and gains of one axis."""
 
     def answered(matrix: Array) -> Array:
-        """Returns the change of the fitted coefficients for a changed design matrix. The outputs stay the same. If their expected
-        values change by some amount, the fit therefore changes as if the outputs had changed by the opposite amount."""
+        """Returns the change of the fitted coefficients for a changed design matrix. The outputs themselves stay the same. A change
+        of their expected values therefore has the same effect on the fit as the opposite change of the outputs."""
         return np.asarray(-fit.gains[0] @ matrix @ fit.coefficients[0])
 
     stated = stated_conditions(model, request.setup, request.site, axes, k, request.parameters.azimuth)

@@ -138,8 +138,8 @@ def polar(gain: Array, basis: Array, axes: MountedAxes, k: int) -> Formula:
 def stated_conditions(
     model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str
 ) -> Iterator[StatedCondition[Array]]:
-    """Yields the stated inputs, each with the design matrix of axis k as a function of its error. Such an error changes all gains
-    in an orientation equally, and therefore causes almost no scatter."""
+    """Yields each stated input with a function that computes the design matrix of axis k for a given error of this input. Such an
+    error changes all gains in an orientation equally, and therefore causes almost no scatter."""
     basis = gain_basis(axes, k, azimuth)
 
     def seen(by: Array) -> Array:

@@ -109,9 +109,9 @@ def influences(
 def _conditions(
     situation: Situation, inputs: Inputs, common: InputQuantity
 ) -> Iterator[StatedCondition[TiltedConditions]]:
-    """Yields the inputs that are stated with an uncertainty, each with the conditions of the evaluation as a function of its error.
-    The bench states the error of each rate, which is the same whenever this rate is repeated. The plan states the error that all
-    rates have in common."""
+    """Yields each input that is stated with an uncertainty, with a function that gives the conditions of the evaluation for a given
+    error of this input. The bench states the error of each rate, which is the same whenever this rate is repeated. The plan states
+    the error that all rates have in common."""
     conditions, site = situation.conditions, situation.site
     axes, commanded = conditions.axes, conditions.commanded
     if not situation.fixture:

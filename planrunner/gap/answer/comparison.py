@@ -33,9 +33,9 @@ class ChannelComparison:
     between the recording and the simulation with the effects. `before` and `after` are root mean squares over the means, slow
     changes and harmonics of the segments. `noise`: size of the difference that noise alone would cause. `before_sigma`,
     `after_sigma`: `before` and `after` in standard deviations of the noise; 1 if there is only noise. `sample_noise`: standard
-    deviation of a single sample in the recording and in both simulations. `means`: for the recording and both simulations, an array
-    of shape (S,), the offset of each common segment after the fit of the nominal parameters. `sigma`: array of shape (S,), standard
-    uncertainty of the offsets in the recording due to noise.
+    deviation of a single sample in the recording and in both simulations. `means`: three arrays of shape (S,), one for the
+    recording and one for each simulation. They contain the offset of each common segment after the fit of the nominal parameters.
+    `sigma`: array of shape (S,), standard uncertainty of the offsets in the recording due to noise.
     """
 
     unit: str

@@ -79,8 +79,8 @@ class Grounds:
     """Contains the data on which a diagnosis is based, for further analysis.
 
     `nominal`: names of the terms that the nominal simulation fits. `choices`: the effects and sets of effects among which the
-    closure chooses. `noise`: the noise that was measured for the closure. `noise` is None if no named effect allows a closure, that
-    is, if the other segments cannot predict the effect in a held-out segment.
+    closure chooses. `noise`: the noise that was measured for the closure. A closure is possible only if a named effect in a
+    held-out segment can be predicted from the other segments; otherwise `noise` is None.
     """
 
     weighing: Weighing
@@ -291,7 +291,7 @@ def _parameters_of_given(
     by_id: Mapping[str, Candidate],
     names: Sequence[str],
 ) -> list[ParameterEstimate]:
-    """Estimates the parameters of the effects that are known to act; they are fitted together with the named effects."""
+    """Estimates the parameters of the effects that are known to act. These effects are fitted together with the named effects."""
     if not given:
         return []
     beside = named.members if named is not None else [Member.best(by_id[name]) for name in names]
@@ -323,8 +323,8 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """Returns the forms of an effect, by the name of the effect, if its shape determines it completely. The result is empty for
-    other effects. It is also empty if no form explains the data better than no effect."""
+    """Maps the name of an effect that its shape determines completely to the forms of the effect. The result is empty for any other
+    effect, and if no form explains the data better than no effect."""
     effect = shape_alone(candidate)
     found = whole_forms(weighing, effect) if effect is not None else []
     return {candidate.id: found} if found else {}
@@ -334,8 +334,8 @@ def _choices(
     weighing: Weighing, found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
     """Returns the choices for the folds of the closure: probable effects and probable sets of effects. Hypotheses that differ only
-    in effects on the noise become one choice. A hypothesis that includes a random walk or an unknown cause adds nothing to the
-    probability that a choice is the whole cause."""
+    in effects on the noise become one choice. For each choice, the probability that it is the whole cause is the sum over its
+    hypotheses; hypotheses with a random walk or an unknown cause do not count."""
     likely: dict[str, float] = {}
     for name, p in found.probability.items():
         parts = name.split("+")

@@ -203,8 +203,8 @@ def _temperatures(segment: Segment, now: float) -> tuple[float, float]:
 
 Seconds = Callable[[Segment | None, Segment], float]
 SETTLED = 0.95
-"""Probability of an explanation at and above which no further measurement is needed. Proposals aim at a probability of the true
-explanation that is higher than this value."""
+"""If an explanation has at least this probability, no further measurement is needed. A proposal aims at a higher probability of the
+true explanation."""
 AIM = 0.97
 FAINT = 0.05
 """Smallest probability of an effect for which a measurement is proposed, if noise alone or an unknown cause is the most probable
@@ -225,9 +225,9 @@ class SegmentProposal:
     `segments`: the proposed segments in order; empty if nothing on the bench helps. `rivals`: names and present probabilities of
     the explanations that remain possible. `now`: expected probability of the true explanation at present. `probability`: expected
     probability of the true explanation after the proposed segments. `seconds`: test time that these segments take, s. `repeating`:
-    the corresponding values for a repetition of the recorded segments, for comparison: the test time [s], and the expected
-    probability of the true explanation after this time. `sensor`: description of an instrument that could distinguish the
-    explanations, if the segments of the bench cannot.
+    for comparison, what a repetition of the recorded segments would achieve: its test time [s], and the expected probability of the
+    true explanation after it. `sensor`: description of an instrument that could distinguish the explanations, if the segments of
+    the bench cannot.
     """
 
     segments: tuple[Segment, ...]
@@ -358,8 +358,8 @@ def _shortened(
     last: Segment | None,
     seconds: Seconds,
 ) -> tuple[list[list[Foreseen]], list[float], list[float]]:
-    """Shortens the list of moves. The shorter list contains the moves with the largest gain and with the largest gain per second,
-    and bundles of the best moves at each temperature."""
+    """Shortens the list of moves. A move is one segment or a bundle of segments. The shorter list contains the moves with the
+    largest gain and with the largest gain per second, and bundles of the best moves at each temperature."""
     by_gain, by_rate = np.argsort(-np.array(gains)), np.argsort(-np.array(gains) / np.array(costs))
     temperatures: dict[float | None, list[int]] = {}
     for index in by_gain:
@@ -454,8 +454,8 @@ def _instruments(weighing: Weighing) -> list[_Instrument]:
 def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
-    """Returns the rivals, extended by the instrument's own nominal parameters. Also returns the total information from all options,
-    for the case that the instrument also measures during these segments."""
+    """Returns the rivals, extended by the instrument's own nominal parameters. Also returns the total information from all options
+    if the instrument measures during these segments too."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)

@@ -41,7 +41,8 @@ def amplitudes(
 
     `columns`: the columns that belong to this effect, if it is one of a set of effects. `walking`: True if a random walk of the
     gyros acts in addition. `ratios`: array of shape (K,), variance of the residuals of each channel, divided by the variance of the
-    noise at the most probable setting; None if the residuals are only noise. An amplitude that is fixed at 1 is not a parameter.
+    noise at the most probable setting; None if the residuals are only noise. Amplitudes that are fixed at 1 are omitted, because
+    they are not parameters.
     """
     if weighed.held:
         return []
@@ -163,7 +164,7 @@ def of_noise(weighing: Weighing, effect: OutsideCoefficients) -> list[ParameterE
 
 
 _UNDETERMINED = 1e-6
-"""Largest fraction of a parameter that may lie in directions that the plan does not determine."""
+"""A parameter counts as determined if at most this fraction of it lies in directions that the plan does not determine."""
 
 
 def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[ParameterEstimate]:

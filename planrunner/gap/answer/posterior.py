@@ -3,9 +3,9 @@ priors.
 
 The evidence directly determines the probabilities of three cases: effects of the catalogue are the whole cause, effects of the
 catalogue act together with something else, or no effect of the catalogue acts. The probability of effects is then divided among the
-sets of effects. For this division, the evidence is computed with larger noise: its variance is multiplied by the dispersion of the
-residuals (`gap.answer.remainder`). Thus, if even the best set does not explain the residuals, the evidence that distinguishes the
-sets becomes weaker.
+sets of effects. For this division, the noise variance is multiplied by the dispersion of the residuals (`gap.answer.remainder`)
+before the evidence is computed. Thus, if even the best set does not explain the residuals, the evidence distinguishes the sets less
+sharply.
 
 A hypothesis about the level of the noise does not compete with a cause. Hypotheses that differ only in an effect on the level of
 the noise count as the same cause, and their probabilities are added. The probability of each effect on the noise level is stated
@@ -39,9 +39,9 @@ together with something else. Every further effect halves the probability."""
 NAMEABLE = 0.05  # the probability of none above which no effect is named
 LIKELY = 1e-3  # smallest probability of a set beside which something else may act
 IMPERFECT = 0.05
-"""Smallest ratio of the log evidence of an effect to the log evidence of something else, for an effect that acts in addition to
-something else. No pattern describes an unknown cause exactly. Effects of the catalogue can imitate the small part that the pattern
-does not describe."""
+"""An effect can act in addition to something else only if its log evidence is at least this fraction of the log evidence of
+something else. The reason is that no pattern describes an unknown cause exactly. Effects of the catalogue can imitate the part that
+the pattern does not describe."""
 WORTH = 3.0  # log BF of something else from which it may be the cause of what some of the effects follow
 UNKNOWN = "unknown"
 _Key = TypeVar("_Key", str, tuple[str, ...])
@@ -292,10 +292,10 @@ def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candid
 def _with_something_else(
     weighing: Weighing, chain: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
 ) -> dict[str, float]:
-    """Returns the log weights of hypotheses in which something else acts in addition to a set of effects. If something else may act
-    in addition to all effects of a chain, it is also evaluated in addition to smaller sets of the chain. The reason is that some of
-    the effects may only imitate something else. Two kinds of sets are omitted: sets with physically impossible amplitudes, and sets
-    whose evidence is small compared with something else (`IMPERFECT`)."""
+    """Returns the log weights of hypotheses in which something else acts in addition to a set of effects. Something else is
+    evaluated in addition to all effects of the chain, and also in addition to its smaller sets, because some of the effects may
+    only imitate something else. Two kinds of sets are omitted: sets with physically impossible amplitudes, and sets whose evidence
+    is small compared with something else (`IMPERFECT`)."""
     made: dict[str, float] = {}
     for key, weighed in reversed(chain):
         if weighed.excluded or found[key] < IMPERFECT * found[UNKNOWN]:

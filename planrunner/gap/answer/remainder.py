@@ -3,7 +3,7 @@ unexplained part, and the dispersion, which corrects the evidence.
 
 The test determines whether noise alone explains the whitened residuals of a channel. The test compares the sum of the squared
 residuals with the χ² distribution, with Bonferroni's correction for the number of tests. The unexplained part is called the
-remainder; for it, the named effects are fitted to all segments.
+remainder. It is computed after the named effects have been fitted to all segments.
 
 If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. Sometimes no explanation
 leaves only noise. The differences between log evidences are then too large by this ratio. The reason is that the evidence treats
@@ -88,7 +88,7 @@ class Remainder:
 
 def remainder(weighing: Weighing, named: Weighed, something_else: bool = False) -> Remainder:
     """Determines the part of a gap that remains unexplained after the named effects have been fitted together. `something_else`:
-    True if this part follows a pattern outside the catalogue."""
+    True if the unexplained part follows a pattern outside the catalogue."""
     from scipy.special import chdtrc
 
     amplitudes = named.amplitudes[0]

@@ -169,8 +169,8 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
 
 
 def _simplest(total: Mapping[str, float]) -> dict[str, float]:
-    """If a subset of a set of effects is more probable than the set itself, the probability of the set is added to the probability
-    of the subset. The reason is that the other effects of the set may be absent."""
+    """Adds the probability of a set of effects to the probability of one of its subsets, if the subset is more probable. In this
+    case, the other effects of the set may be absent."""
     found: dict[str, float] = {}
     for name, value in sorted(total.items(), key=lambda item: item[0].count("+")):
         parts = set(name.split("+"))

@@ -2,15 +2,15 @@
 cannot distinguish.
 
 An effect that explains nearly all of a gap is named, even if an unknown cause acts in addition. The rest of the gap is reported as
-the remainder. The remainder may consist of nominal terms that a reduced model lacks. For example, the simulation of a sensor may
-have no bias. The bias is then named, even if there is a small further deviation that no hypothesis explains. An effect can also be
-so strong that its deviation from its idealised form becomes visible. The flexible patterns outside the catalogue then seem to
-explain this deviation. The energy of the deviation is called form residue.
+the remainder. There are two typical cases. First, a simulation may lack a nominal term such as the bias. The bias is then named,
+even if there is a small further deviation that no hypothesis explains. Second, an effect can be so strong that its deviation from
+its idealised form becomes visible. The flexible patterns outside the catalogue then seem to explain this deviation. The energy of
+the deviation is called form residue.
 
-The confusability states which effects a plan can distinguish. The confusability can be computed before and after the recording.
-Consider the whitened signature of effect A after projection. The confusability ρ(A|B) is the fraction of its energy that effect B
-reproduces with suitable amplitudes. If λ is the energy of the fitted effect A, the test between A and B has the non-centrality λ(1
-− ρ).
+The confusability states which effects a plan can distinguish. It can be computed before and after the recording. The confusability
+ρ(A|B) refers to the whitened signature of effect A after projection: it is the fraction of the energy of this signature that effect
+B reproduces with suitable amplitudes. If λ is the energy of the fitted effect A, the test between A and B has the non-centrality
+λ(1 − ρ).
 """
 
 from __future__ import annotations
@@ -96,9 +96,10 @@ TWO_NAMES = 4.0  # nats of evidence between hypotheses that may have the same ca
 
 
 def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
-    """Finds an effect or a pair that explains nearly as much as the most probable hypothesis `top`, and more than 50 σ. Returns
-    this effect or pair, and the other effects of `top`, which then count as the remainder. Returns None if there is no such effect,
-    or if `top` consists only of terms of the nominal model.
+    """Finds an effect or a pair of effects that explains nearly as much of the gap as the most probable hypothesis `top`, and more
+    than 50 σ. Returns the name of this effect or pair, and the names of the other effects of `top`. What these other effects
+    explain counts as the remainder. Returns None if there is no such effect, or if `top` consists only of terms of the nominal
+    model.
 
     `log_evidence`: log evidence of every hypothesis relative to "none". For a strong effect, it is about half of the explained
     energy. `signatures`: effects that change more than the noise.
@@ -119,7 +120,7 @@ def _most(log_evidence: Mapping[str, float], among: Collection[str], least: floa
 
 
 def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float]:
-    """Returns hypotheses, each with the ratio of its probability to the probability of `best`, at most 1. Hypotheses that explain
+    """Maps each hypothesis to the ratio of its probability to the probability of `best`, limited to 1. Hypotheses that explain
     clearly more of the gap than `best` are omitted."""
     away = {name: value - log_evidence[best] for name, value in log_evidence.items()}
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
@@ -215,8 +216,8 @@ def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | Non
 
 def ambiguity_set(probability: Mapping[str, float], said: Verdict) -> list[str]:
     """Returns the most probable hypotheses, in descending order, up to a total probability of 95 %. If the hypothesis of the
-    verdict is not among them, it is added. There are two cases: a more probable hypothesis explains only form residue, or "none" is
-    so probable that no effect is named."""
+    verdict is not among them, it is added. It can be missing for two reasons: a more probable hypothesis explains only form
+    residue, or "none" is so probable that no effect is named."""
     chosen, total = [], 0.0
     for name, value in probability.items():
         chosen.append(name)
@@ -273,12 +274,13 @@ def _rival_sets(
 
 
 def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tuple[str, str | None]:
-    """Examines the set of effects `named`. Returns two values: the effects that the verdict names, and the weakest effect if it may
-    be form residue; otherwise, the second value is None. Form residue is energy that remains because the strongest effect deviates
-    from its idealised form. The weakest effect may be form residue if two conditions are true: the other effects explain more than
-    50 σ, and the weakest effect adds less than the fraction `RESIDUE` of what all effects explain together. If it adds less than
-    the fraction `FORM`, it is not named. An effect is not form residue if most of its energy is in channels on which the other
-    effects do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form residue."""
+    """Examines whether the weakest effect of the set `named` may be form residue. Form residue is energy that remains because the
+    strongest effect deviates from its idealised form. Returns two values: the effects that the verdict names, and the weakest
+    effect if it may be form residue, otherwise None. Two conditions must be true for form residue: the other effects explain more
+    than 50 σ, and the weakest effect adds less than the fraction `RESIDUE` of what all effects explain together. If the weakest
+    effect adds less than the fraction `FORM`, it is not named. An effect is not form residue if most of its energy is in channels
+    on which the other effects do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form
+    residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

@@ -38,7 +38,8 @@ REPLICATES = 400
 SEED = 20
 _LEVELS = 4  # bins of temperature and time
 _NEAR = math.sqrt(2 - 2 * 0.999)
-"""Smallest cosine of the angle between an axis and a direction for which the axis is described by the word for the direction."""
+"""An axis is described by the word for a direction if the vector between their unit vectors is shorter than this length, which
+means that the cosine of the angle between them is more than 0.999."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +102,8 @@ def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
-    """Returns the entry for noise or a tone outside the basis. The p-value of this entry follows from Markov's inequality: for
-    noise alone, a Bayes factor of at least B has at most the probability 1/B."""
+    """Returns the entry for noise or a tone outside the basis. The p-value of this entry follows from Markov's inequality: if there
+    is only noise, the probability of a Bayes factor of B or more is at most 1/B."""
     declared = weighing.declared.channels[channel]
     level = declared.sample_variance(weighing.observed.sample_rate) / weighing.white[channel] ** 2
     p = min(1.0, places_ * float(np.exp(-evidence)))

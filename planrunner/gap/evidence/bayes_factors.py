@@ -28,8 +28,8 @@ _SWEEPS = 3
 _ROUNDING = 1e-14  # of the trace of a matrix, added to its diagonal
 ENERGIES = np.geomspace(0.5, 1e6, 25)  # grid of s², expressed as the expected energy
 GAIN = 0.01
-"""Standard deviation of an amplitude that physics fixes to 1. The effect changes the output, which is known except for the scale
-factor error and the misalignment of the sensor. The scale factor error and the misalignment are rarely larger than this value."""
+"""Standard deviation of an amplitude that physics fixes at 1. The fitted amplitude can differ from 1, because the effect acts on an
+output that contains the scale factor error and the misalignment of the sensor. These errors are rarely larger than this value."""
 
 
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:

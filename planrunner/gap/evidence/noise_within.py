@@ -39,8 +39,9 @@ _VARIOUS = 4.0  # degrees of freedom of the scatter between segments, at least
 _SAME = 1e3  # degrees of freedom from which on the segments count as alike
 _NARROW = 4.0  # degrees of freedom with which the noise near the frequency of a harmonic can be measured
 _STANDING = 0.1
-"""Smallest level of a segment, as a part of the median level of all segments or of the level at rest, whichever is smaller. A limited or
-stuck output has little noise or none, but it is not more precise than other outputs."""
+"""Smallest level of a segment, as a fraction of the median level of all segments. If the level at rest is smaller than this median,
+it is the fraction of the level at rest. A limited or stuck output has little noise or none, but it is not more precise than other
+outputs."""
 _SMALLEST = (
     1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
 )
@@ -336,9 +337,9 @@ def _typical(observed: Observed, spectrum: Spectrum) -> Array:
 
 
 def _carried(energy: Array, count: Array, above: float, carried: float) -> Array:
-    """Returns the levels (B,) of the bands, computed from the highest band to the lowest. Each band is smoothed towards the next
-    higher band, and the highest band towards the level `above`. In this average, the higher level has the weight of `carried`
-    additional coefficients."""
+    """Returns the levels (B,) of the bands, computed from the highest band to the lowest. Each level is a weighted average of the
+    band's own energy and the level of the next higher band; for the highest band, the level `above` takes the place of the latter.
+    The level of the higher band has the weight of `carried` coefficients."""
     out = np.ones(len(energy))
     for band in range(len(energy) - 1, -1, -1):
         above = max((energy[band] + carried * above) / (count[band] + carried), _SMALLEST)
@@ -352,9 +353,9 @@ def moderated(energy: Array, count: Array) -> Array:
 
     The variances of the segments are assumed to scatter like the inverse of a χ² variable. The degrees of freedom of this variable
     follow from the scatter of the energies (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). If a common variance of all segments
-    explains the scatter of the energies, the result is 1. `energy`: array of shape (S,), energy of the band in each segment,
-    relative to the common variance. `count`: array of shape (S,), number of coefficients of the band in each segment. Each result
-    is the variance of the predictive Student's t distribution of a further coefficient.
+    explains the scatter of the energies, the result is 1. Otherwise, each result is the variance of the predictive distribution
+    (Student's t) of one more coefficient. `energy`: array of shape (S,), energy of the band in each segment, relative to the common
+    variance. `count`: array of shape (S,), number of coefficients of the band in each segment.
     """
     from scipy.optimize import brentq
     from scipy.special import digamma, polygamma

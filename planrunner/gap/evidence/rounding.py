@@ -37,8 +37,8 @@ def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
 def dithering(sigma: Array | float) -> Array:
     """Returns the variance of the rounding error in the mean of many samples, divided by the variance without noise. `sigma`:
     standard deviation of the noise, in counts. The error is a saw-tooth function of the mean's position within a count. Noise
-    multiplies its harmonic k by the characteristic function of the noise at 2πk (Widrow and Kollár, Quantization Noise, 2008,
-    section 19.3). Without noise, the variance is 1/12 of a squared count.
+    multiplies the harmonic k of this function by the characteristic function of the noise at 2πk (Widrow and Kollár, Quantization
+    Noise, 2008, section 19.3). Without noise, the variance is 1/12 count².
     """
     return _left_over(_characteristic(sigma))
 

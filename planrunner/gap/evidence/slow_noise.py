@@ -92,12 +92,11 @@ def random_walk_within(vectors: Array, step: float) -> tuple[Array, Array, Array
 
 @dataclass(frozen=True)
 class WalkAcross:
-    """Contains the covariances of the segment means with the M coefficients within the segments that a random walk causes. A coefficient
-    has one covariance with the mean of its own segment, another with the means of all later segments, and no covariance with the means of
-    earlier segments.
+    """Contains the covariances that a random walk causes between the segment means and the M coefficients within the segments.
 
-    `own`, `afterwards`: arrays of shape (M,), these two covariances. `first`: array of shape (S,), index of the first coefficient of
-    each segment.
+    `own`: array of shape (M,), covariance of each coefficient with the mean of its own segment. `afterwards`: array of shape (M,),
+    covariance of each coefficient with the mean of any later segment. The covariance with the means of earlier segments is zero.
+    `first`: array of shape (S,), index of the first coefficient of each segment.
     """
 
     own: Array
@@ -105,7 +104,8 @@ class WalkAcross:
     first: NDArray[np.int64]
 
     def of(self, columns: Array) -> WalkAcross:
-        """Returns the covariances with other coefficients. `columns`: array of shape (M, 2), transformed `own` and `afterwards`."""
+        """Returns the covariances after a transformation of the coefficients. `columns`: array of shape (M, 2), the transformed
+        `own` and `afterwards`."""
         return WalkAcross(columns[:, 0], columns[:, 1], self.first)
 
     @property
@@ -143,9 +143,9 @@ class WalkAcross:
 class SlowNoise:
     """Contains the covariances of slow noise: of flicker with B = 1, and of a random walk with unit density (1/√s).
 
-    `flicker`, `random_walk`: arrays of shape (S, S), covariances of the segment means. `walk_within`: covariances of the
-    coefficients of a random walk within each segment, s·samples; zero for the means. `walk_across`: covariances of the segment means
-    with the coefficients, s·√samples; zero for the means.
+    `flicker`, `random_walk`: arrays of shape (S, S), covariances of the segment means. `walk_within`: for a random walk,
+    covariances of the coefficients within each segment, s·samples; zero for the means. `walk_across`: for a random walk,
+    covariances of the segment means with the coefficients, s·√samples; zero for the means.
     """
 
     flicker: Array

@@ -110,9 +110,9 @@ class Spectrum:
 
     @cached_property
     def runs(self) -> list[tuple[Array, slice]]:
-        """Groups consecutive segments whose bases have the same shape. Each group consists of the bases and the slice of the
-        samples. The bases are the transposed bases (k, m, n) of the k segments, or one transposed basis (m, n) that all segments of
-        the group share."""
+        """Groups consecutive segments whose bases have the same shape, so that a group can be evaluated at once. For each group of
+        k segments, returns the transposed bases (k, m, n) and the slice of their samples. If all segments of a group share one
+        basis, the group contains this transposed basis (m, n) only once."""
         found, first = [], 0
         for _, run in groupby(self.bases, key=lambda basis: basis.vectors.shape):
             bases = list(run)

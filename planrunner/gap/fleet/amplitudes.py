@@ -19,8 +19,8 @@ from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import Weighing
 
 _DEPENDENT = 1e-8
-"""Limit for the singular values of columns of unit length, relative to the largest value. Below the limit, a direction is not
-determined."""
+"""A direction of the amplitudes is not determined if its singular value, relative to the largest one, is below this limit. The
+columns have unit length."""
 _UNDETERMINED = 1e-6
 """Largest fraction of an amplitude that may lie in undetermined directions."""
 

@@ -12,10 +12,10 @@ The hypotheses are all subsets of the sources, including the empty set. For give
 
     log p(y | σ) = −½ (n·log 2π + log det V + yᵀ V⁻¹ y),    V = S + Z G Zᵀ
 
-Z contains the grouping of the runs, and the diagonal matrix G contains the variances σ² of the parts. The diagonal matrix S
-contains the variances s². If every run is a group of its own for a source, the σ² of this source is added to S instead. With M = I
-+ G^½ ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion lemma).
-Each σ has a log-uniform prior. Each σ is integrated out on a grid, which is finer where the evidence is large.
+Z assigns the runs to their groups, and the diagonal matrix G contains the variances σ² of the parts. The diagonal matrix S contains
+the variances s². If every run is a group of its own for a source, the σ² of this source is added to S instead. With M = I + G^½
+ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion lemma). Each
+σ has a log-uniform prior. Each σ is integrated out on a grid, which is finer where the evidence is large.
 
 Sources that group the runs in the same way cannot be distinguished, for example one device on one bench, or devices with one run
 each. Such sources form one component.
@@ -73,8 +73,8 @@ class Estimates:
 
     `values`, `standard_uncertainties`: arrays of shape (n,), in one unit; all are finite, and the uncertainties are positive.
     `groups`: for each source except `COMMON`, the labels (n) of the groups to which the runs belong. `since`: for each source with
-    steps, n texts, one for each run. Each is the moment of the last step of the run's group up to this run; it is empty if there
-    was no step. After each step, the group counts as a new group.
+    steps, n texts, one for each run: the moment of the last step of the run's group up to this run, or an empty text if there was
+    no step. After each step, the group counts as a new group.
     """
 
     values: Array
@@ -113,7 +113,7 @@ class Uncertain:
 
 @dataclass(frozen=True, slots=True)
 class SourcePart:
-    """Describes the part of an amplitude that belongs to one device, one bench or one occasion. The part is computed under the
+    """Describes the part of an amplitude that belongs to one device, one bench or one occasion. The values are valid under the
     condition that parts of this kind contribute at all.
 
     `level`: the sum of this part and of the part that all runs have in common; the data often determine this sum better than its
@@ -152,7 +152,8 @@ class Contribution:
 @dataclass(frozen=True)
 class Attribution:
     """Contains the attribution of an amplitude to sources. `none`: probability that no component contributes. `probability`:
-    probability of every subset of the components; the key of a subset consists of the names of its components, joined by '+'."""
+    probability that exactly a certain subset of the components contributes. The key of a subset consists of the names of its
+    components, joined by '+'."""
 
     none: float
     probability: Mapping[str, float]
@@ -303,7 +304,7 @@ class _Model:
         return self._grid[2]
 
     def spread(self, component: Component) -> tuple[Array, Array]:
-        """Returns the values of a component's σ at the points of the grid, and the posterior weights of the points."""
+        """Returns the σ of a component at each point of the grid, and the posterior weight of each point."""
         points, weights, _ = self._grid
         return points[:, self.chosen.index(component)], weights
 
@@ -330,16 +331,16 @@ class _Model:
         return weights, means, variances, mean, covariance
 
     def parts(self, component: Component) -> tuple[Array, Array, Array]:
-        """Returns the weights (Q,) of the points of the grid, and the means (Q, m) and variances (Q, m) of the parts of a component
-        at these points."""
+        """Returns, for Q points of the grid, the weights (Q,), and the means (Q, m) and variances (Q, m) of the m parts of a
+        component."""
         weights, means, variances, _, _ = self._moments
         place = self.chosen.index(component)
         return weights, means[place], variances[place]
 
     def combined(self, component: Component, combinations: Array, also: Component | None) -> tuple[Array, Array, Array]:
-        """Returns the weights (Q,) of the points of the grid, and the means (Q, m) and variances (Q, m) of m linear combinations of
-        the parts of a component at these points. `combinations`: array of shape (m, groups of the component), coefficients. The
-        single part of the component `also` is added to each combination if the model contains this component."""
+        """Returns, for Q points of the grid, the weights (Q,), and the means (Q, m) and variances (Q, m) of m linear combinations
+        of the parts of a component. `combinations`: array of shape (m, groups of the component), coefficients. The single part of
+        the component `also` is added to each combination if the model contains this component."""
         weights, _, _, mean, covariance = self._moments
         design = np.zeros((len(combinations), len(self._column)))
         design[:, self._column == self.chosen.index(component)] = combinations

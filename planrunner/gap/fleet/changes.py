@@ -9,10 +9,10 @@ For a step of a device, of a bench or of all runs, h is 1 in the runs of this so
 For a drift, h is the number of days since the first run of its source. The parts are fitted without priors (analysis of
 covariance), so a constant difference between devices or between benches does not count as a change. The change with the smallest
 p-value is added to the model if its p-value, multiplied by the number of changes that were tried (Bonferroni), is at most `LEVEL`.
-These steps are repeated until no change qualifies. The method is a forward selection (for the place of a step, see Hawkins, Journal
-of the American Statistical Association 72, 1977). The p-value of a change comes from Student's t test of its size x_j. c² is the
-χ²/ν of the fit with the change, but at least 1. If the runs scatter more than their uncertainties s_r allow, changes therefore
-become less significant. A drift is preferred to a step only if it has the smaller p-value.
+This selection is repeated until no further change qualifies. The method is a forward selection (for the place of a step, see
+Hawkins, Journal of the American Statistical Association 72, 1977). The p-value of a change comes from Student's t test of its size
+x_j. The factor c² is the χ²/ν of the fit with the change, but at least 1. Changes therefore become less significant if the runs
+scatter more than their uncertainties s_r allow. A drift is preferred to a step only if it has the smaller p-value.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
     """Finds the changes of an amplitude, the most significant first.
 
     `given`: estimates of the amplitude in order of time, with groups for device and bench. `days`: time of every run, in days.
-    `amplitudes`: number of amplitudes that are examined; p-values are corrected for it.
+    `amplitudes`: number of amplitudes that are examined; p-values are corrected for this number of tests.
     """
     time = np.asarray(days, dtype=float)
     listed = list(_candidates(given, time))
@@ -132,7 +132,7 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
 def since_steps(found: Sequence[FleetChange], moments: Sequence[str]) -> dict[Source, list[str]]:
     """Returns the moments of steps in the form of `Estimates.since`: for each run, the moment of the last step of its device or
     bench up to this run. `moments`: moment of every run, in order of time. A step that several sources may have made is attributed
-    to the first of them. If a value changes by the same step in all runs, no new groups begin."""
+    to the first of them. A step that all runs have in common begins no new groups."""
     since = {source: [""] * len(moments) for source in (Source.DEVICE, Source.BENCH)}
     for change in sorted(found, key=lambda one: one.before):
         source, _ = change.sources[0]

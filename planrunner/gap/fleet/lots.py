@@ -17,9 +17,9 @@ MOST_CHANCE = 0.05
 class SharedByLot:
     """Describes an amplitude that distinguishes the devices of a lot from all other devices.
 
-    `difference`: mean of the lot minus mean of the others, in the unit of the key. `expanded`: half-width of its 95 % interval.
-    Each device contributes one value, the mean of its amplitudes. `others`: number of the other devices. `chance`: probability that
-    a random choice of devices, as many as the lot has, gives exactly this lot. This probability is 1 divided by the number of
+    `difference`: mean of the lot minus mean of the others, in the unit of the key. Each device contributes one value, the mean of
+    its amplitudes. `expanded`: half-width of the 95 % interval of `difference`. `others`: number of the other devices. `chance`:
+    probability that a random choice of devices, as many as the lot has, gives exactly this lot. It is 1 divided by the number of
     possible choices.
     """
 

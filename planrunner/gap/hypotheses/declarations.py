@@ -22,18 +22,18 @@ from planrunner.gap.evidence.recording_checks import MISFIT, STIRRED, segment_me
 from planrunner.plan.units import STANDARD_GRAVITY
 
 FITS = 0.1
-"""Largest residual of the fit of M, relative to the applied input, at which M describes the channel."""
+"""The matrix M describes a channel if the residual of its fit, relative to the applied input, is at most this value."""
 NEAR = 0.2
-"""Largest distance, relative to a factor, at which a row of M agrees with a row of a signed permutation multiplied by this
+"""A row of M agrees with a row of a signed permutation, multiplied by a factor, if their distance is at most this fraction of the
 factor."""
 FACTOR = 0.03
 """Largest relative deviation from a known factor. This deviation is larger than usual scale-factor errors, and smaller than half
 the distance between two factors."""
 CLEARLY = 3.0
-"""Smallest ratio of two root mean square misfits for which the data distinguish the two senses of rotation."""
+"""The data distinguish the two senses of rotation if their root mean square misfits differ at least by this ratio."""
 SEEN = 0.5
-"""Smallest length of an axis, projected onto the directions that the plan varies, for which the channel of the axis can be
-judged."""
+"""The channel of an axis can be judged only if the unit vector of the axis, projected onto the directions that the plan varies, has
+at least this length."""
 FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
     "gyro": (
         (180 / np.pi, "degrees", "radians"),
@@ -74,7 +74,7 @@ class WrongDeclaration:
 
 @dataclass(frozen=True)
 class _Reading:
-    """Describes the input that a channel shows: the input along an axis (0, 1, 2), multiplied by a sign and a factor."""
+    """Describes which input a channel shows: the input along one axis (0, 1 or 2), multiplied by a sign and a factor."""
 
     axis: int
     sign: float
@@ -187,7 +187,7 @@ def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
 
 
 def _factor(gain: Array, direction: Array, kind: str) -> float | None:
-    """Returns the known factor that agrees with the ratio of a gain to a direction: 1 for an ordinary scale factor, None if no
+    """Returns the known factor between two units by which a gain exceeds a direction: 1 for an ordinary scale factor, None if no
     known factor agrees."""
     size = float(gain @ direction) / float(direction @ direction)
     if size <= 0:
@@ -216,7 +216,8 @@ def _of_channels(
     observed: Observed, readings: Sequence[_Reading | None]
 ) -> tuple[list[WrongDeclaration], list[int], list[float]]:
     """Returns three values: the wrong declarations of channels; for every channel, the index of the channel that shows its axis;
-    and the signed factor of the latter channel. If two channels show the same axis, no declaration counts as wrong."""
+    and, for every channel, the signed factor of that other channel. If two channels show the same axis, no declaration counts as
+    wrong."""
     sources, factors = list(range(len(readings))), [1.0] * len(readings)
     shown: dict[str, dict[int, _Reading]] = {}
     for kind in ("gyro", "accel"):

@@ -29,7 +29,7 @@ _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justi
 
 
 def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candidate]:
-    """Evaluates effects with every shape on their grids, which are refined if the evidence is sharp."""
+    """Evaluates each effect with every shape on its grid. The grid is refined where the evidence is sharp."""
     if not effects:
         return []
     ways = [way for effect in effects for way in ways_of(effect)]
@@ -43,8 +43,8 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
 
 
 def _likeliest(ways: Sequence[Candidate]) -> Candidate:
-    """Returns the most probable of several ways in which an effect can act. The evidence of the effect is averaged over all ways
-    that the plan can show."""
+    """Returns the most probable of several ways in which an effect can act. Its evidence is replaced by the average over all ways
+    that the plan can excite."""
     shown = [way for way in ways if np.isfinite(way.log_bayes).any()]
     if len(ways) == 1 or not shown:
         return ways[0]
@@ -73,7 +73,7 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
     """Approximates a strong nonlinear effect by its secants at the most probable amplitudes. The approximation is repeated as long
-    as the new secants explain more."""
+    as new secants explain more of the gap."""
     for _ in range(_SETTLING):
         (best,) = usable
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -111,8 +111,9 @@ def _along_secants(
 def _resettled(
     weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """Evaluates a strong effect on the output of the sensor again: the nominal parameters are fitted together with the effect's
-    best form, and the effect is evaluated at the output that results. The evaluation is repeated as long as it explains more."""
+    """Evaluates again a strong effect that acts on the output of the sensor. The nominal parameters are fitted together with the
+    effect's best form; they give a new output, at which the effect is evaluated. This is repeated as long as the effect explains
+    more of the gap."""
     values: Sequence[Array] | None = None
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
@@ -156,9 +157,9 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
     """Adds shapes to the grid around the best one, and averages the evidence over the shape by the trapezoidal rule. Every interval
     of the grid has the same prior.
 
-    Three rounds add four shapes between the best shape and each neighbour, which is enough for the sharp peak of an effect at a
-    hundred standard deviations. With a random walk of the gyros, another shape may be the best; the grid is then refined around
-    both shapes.
+    Three rounds add four shapes between the best shape and each neighbour, which is enough for the sharp peak of an effect of a
+    hundred standard deviations. The best shape with a random walk of the gyros may differ from the best shape without it; the grid
+    is then refined around both shapes.
     """
     have = {float(item.variant.shape or 0.0): item for item in coarse}
     grid = np.array(sorted(have))

@@ -1,9 +1,9 @@
 """Evaluates patterns outside the catalogue, which compete with the effects. Thus a diagnosis can report "something that the
-catalogue does not contain". Such a competitor is a pattern of the whitened residual, in one channel or in a triad. Some patterns
-differ at random from segment to segment, or change smoothly with rate, gravity, temperature or time: offsets, scale-like errors,
-transients, and waveforms per turn or per rocking period. Further patterns are a deviation in a single segment, a periodic bias,
-bursts, and a tone that keeps its phase over the whole run. The competitors are evaluated like effects, individually and in
-combination.
+catalogue does not contain". Such a pattern is called a competitor. It is a pattern of the whitened residual, in one channel or in a
+triad. Some patterns differ at random from segment to segment, or change smoothly with rate, gravity, temperature or time: offsets,
+scale-like errors, transients, and waveforms per turn or per rocking period. Further patterns are a deviation in a single segment, a
+periodic bias, bursts, and a tone that keeps its phase over the whole run. The competitors are evaluated like effects, individually
+and in combination.
 """
 
 from __future__ import annotations
@@ -112,8 +112,7 @@ def something_else(weighing: Weighing, signatures: Sequence[Array] = ()) -> floa
 
 def unknown(kinds: Kinds) -> Array:
     """Returns the log Bayes factor of "something else", shape (G,): the mean over single patterns and over combinations of
-    patterns. A periodic bias consists of several sorts of coefficients. It is combined with the patterns outside the
-    coefficients."""
+    patterns. A periodic bias is also evaluated in combination with the patterns outside the coefficients."""
     periodic = kinds.log_bayes[PERIODIC] + _maybe(kinds.outside)
     return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several, periodic]), 0)
 
@@ -164,8 +163,8 @@ def scopes_of(weighing: Weighing) -> list[list[int]]:
 
 
 class _Patterns:
-    """Evaluates all patterns of the coefficients. Results are cached, because several settings of the noise share the weights of a
-    triad."""
+    """Evaluates all patterns of the coefficients. Caches the results, because several settings of the noise use the same weights
+    for a triad."""
 
     def __init__(self, weighing: Weighing):
         self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)

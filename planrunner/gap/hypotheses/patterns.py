@@ -239,8 +239,9 @@ def _upward(observed: Observed, segment: int) -> Hashable:
 
 
 def sizes(weighing: Weighing, signatures: Sequence[Array]) -> PatternDesign:
-    """The size of an effect differs from motion to motion: between the rates of turning, and between the frequencies and amplitudes
-    of rocking. A cause outside the catalogue that resembles the effect usually depends on the motion in another way.
+    """Makes a pattern in which an effect has a separate size for each motion: for each rate of turning, and for each frequency and
+    amplitude of rocking. A cause outside the catalogue that resembles the effect usually depends on the motion in another way than
+    the effect does.
 
     `signatures`: for each channel, the coefficients (M,) that the effect causes."""
     motions = [_speed(motion) for motion in weighing.observed.motions]

@@ -80,8 +80,8 @@ class Repeating:
         return raw.view(float).reshape(len(self.rows), *pulses.shape, 2)
 
     def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
-        """For each n in `counts`, returns the eigenvalues (F, n) and the squared scores (F, n) of the first n columns of each of F
-        frequencies."""
+        """Returns one item for each number n in `counts`: the eigenvalues (F, n) and the squared scores (F, n) of the first n
+        columns at each of F frequencies."""
         periods = waves.shape[1]
         at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
         size = whitened.shape[1] // periods
