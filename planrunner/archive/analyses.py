@@ -168,15 +168,13 @@ def chosen_analysis(run: Path, analyses: Iterable[StoredAnalysis], number: int |
     return known[number]
 
 
-def add_analysis(
-    run: GuardedFolder, files: Mapping[str, bytes], basis: Basis, *, storage: Storage | None = None
-) -> StoredAnalysis:
+def add_analysis(run: GuardedFolder, files: Mapping[str, bytes], basis: Basis) -> StoredAnalysis:
     """Adds an analysis in `analyses/<n>` and returns it. `files`: maps each file name to the content of the file.
 
     The analysis is written under a temporary name and then renamed, so it exists completely or not at all. Two simultaneous
     analyses get different numbers. Raises `InputError` if the analysis cannot be written.
     """
-    storage = storage or Storage()
+    storage = Storage()
     for name in files:
         if name == DIGESTS or Path(name).name != name or name in ("", ".", ".."):
             raise ValueError(f"not a file name for an analysis: {name!r}")

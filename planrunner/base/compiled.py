@@ -23,18 +23,17 @@ from planrunner.base.trusted_folders import UntrustedFolderError, make_private, 
 KEPT = Path("planrunner") / "compiled"
 
 
-def cache_folder(environment: Mapping[str, str], user: int | None = None) -> Path | None:
+def cache_folder(environment: Mapping[str, str]) -> Path | None:
     """Returns the folder for compiled code; None if no folder can be made or written to.
 
     `environment`: the variables of the process; except on Windows, `NUMBA_CACHE_DIR` or `XDG_CACHE_HOME` may replace the user's
-    `~/.cache`. `user`: user number, by default the current user. Raises `UntrustedFolderError` if another user could write code
-    there.
+    `~/.cache`. Raises `UntrustedFolderError` if another user could write code there.
     """
     try:
         folder = _base(environment) / KEPT
         make_private(folder)
-        folder = trusted(folder, user)
-        trusted_within(folder, user)
+        folder = trusted(folder)
+        trusted_within(folder)
     except (OSError, RuntimeError):
         return None
     return folder if os.access(folder, os.W_OK | os.X_OK) else None

@@ -17,6 +17,8 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.workers import ALONE, Workers, results_in_order
 
+_STARTS = 20  # random choices from which the exchange starts
+
 
 def loss(matrix: Array, criterion: str) -> float:
     """Returns the loss of an information matrix M (p, p). The loss is −ln|M| for criterion D, and tr M⁻¹ for criterion A. The loss
@@ -34,7 +36,6 @@ def choose(
     count: int,
     criterion: str = "D",
     kept: Sequence[int] = (),
-    restarts: int = 20,
     seed: int = 0,
     workers: Workers = ALONE,
 ) -> tuple[int, ...]:
@@ -49,7 +50,7 @@ def choose(
     random = np.random.default_rng(seed)
     others = np.setdiff1d(np.arange(len(bundles)), kept)
     best, least = None, math.inf
-    starts = [random.choice(others, count - len(kept), replace=False) for _ in range(restarts)]
+    starts = [random.choice(others, count - len(kept), replace=False) for _ in range(_STARTS)]
     settle = partial(_settle, bundles, fixed + bundles[list(kept)].sum(axis=0), others, criterion)
     for found, reached in results_in_order(settle, starts, workers):
         if reached < least:

@@ -66,7 +66,6 @@ def choose(
     count: int,
     weighting: Array | None = None,
     *,
-    restarts: int = 30,
     seed: int = 0,
     fixed: Array | None = None,
     progress: Progress | None = None,
@@ -74,7 +73,7 @@ def choose(
     """Returns the best set of `count` different candidates, by exhaustive search if feasible, otherwise by exchange."""
     if math.comb(len(rows), count) <= MOST_CHOICES:
         return exhaust(rows, count, weighting, progress, fixed)
-    return exchange(rows, count, weighting, restarts=restarts, seed=seed, fixed=fixed, progress=progress)[0]
+    return exchange(rows, count, weighting, seed=seed, fixed=fixed, progress=progress)[0]
 
 
 def exhaust(

@@ -145,10 +145,10 @@ class Mapping(_Placed):
 Node = Scalar | Sequence | Mapping
 
 
-def read_bytes(path: Path, shown: str | None = None, limit: int = MAX_BYTES) -> bytes:
-    """Reads a regular file of at most `limit` bytes; returns its contents. Raises `InputError`, never `OSError`."""
+def read_bytes(path: Path, shown: str | None = None) -> bytes:
+    """Reads a regular file of at most `MAX_BYTES` bytes; returns its contents. Raises `InputError`, never `OSError`."""
     try:
-        return read_regular(path, limit)
+        return read_regular(path, MAX_BYTES)
     except RefusedFileError as refused:
         raise refused_input(refused, shown or str(path)) from None
 
@@ -188,9 +188,9 @@ def read_text(path: Path, shown: str | None = None) -> str:
     return decode(read_bytes(path, shown), shown or str(path))
 
 
-def load(path: Path, shown: str | None = None, log: Findings | None = None) -> Mapping:
+def load(path: Path, shown: str | None = None) -> Mapping:
     """Reads the mapping in a file. Raises `InputError` with `file:line:column` if it cannot be read (see `parse`)."""
-    return parse(read_text(path, shown), shown or str(path), log)
+    return parse(read_text(path, shown), shown or str(path))
 
 
 def parse(text: str, file: str, log: Findings | None = None) -> Mapping:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from planrunner.base.documents import Json
 from planrunner.estimators.tables import Role, Shown, Table, TableColumn, alike, table_of
@@ -59,7 +58,7 @@ class DiagnosisContext:
     origin: DataOrigin | None = None
 
 
-def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
+def render_page(context: DiagnosisContext) -> str:
     """Renders one self-contained HTML page. Raises `ReportError` if the page cannot be rendered."""
     from planrunner.reporting.diagnosis_pictures import pictures
 
@@ -78,7 +77,7 @@ def render_page(context: DiagnosisContext, folder: Path | None = None) -> str:
         "next_plan": context.next_plan,
         "footer": " ".join((FOOTER, priors_words(found))),
     }
-    return render("diagnosis.html", given, folder)
+    return render("diagnosis.html", given)
 
 
 @dataclass(frozen=True, slots=True)

@@ -273,9 +273,7 @@ def facts(found: Data) -> dict[str, str]:
     }
 
 
-def render_page(
-    found: Data, remarks: Sequence[str] = (), origin: DataOrigin | None = None, folder: Path | None = None
-) -> str:
+def render_page(found: Data, remarks: Sequence[str] = (), origin: DataOrigin | None = None) -> str:
     """Renders one self-contained HTML page. `remarks`: warnings about the recordings. `origin`: whether the samples are measured,
     simulated or played back. Raises `ReportError` if the page cannot be rendered."""
     from markupsafe import Markup
@@ -296,4 +294,4 @@ def render_page(
         ],
         "footer": PRIORS,
     }
-    return render("fleet.html", given, folder)
+    return render("fleet.html", given)

@@ -17,6 +17,7 @@ from planrunner.night.words import spell_out
 
 WARM_UP = "warm-up"
 MOST_BARS = 400
+_LONGEST_NAME = 36  # characters, beside a bar
 _STEPS = (60, 300, 600, 900, 1800, 3600, 7200, 10800, 21600, 43200, 86400, 172800, 604800)
 """Possible distances between the ticks of a time axis, s."""
 
@@ -183,5 +184,5 @@ def _ticks(begins: float, ends: float, table: Timetable) -> Iterator[float]:
         instant += step
 
 
-def _short(name: str, most: int = 36) -> str:
-    return name if len(name) <= most else name[: most - 1] + "…"
+def _short(name: str) -> str:
+    return name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 1] + "…"

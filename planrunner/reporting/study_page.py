@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from planrunner.design.study import Study
 from planrunner.reporting.orientations import orientation_svg
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, table_view
 
 
-def render_page(study: Study, folder: Path | None = None) -> str:
+def render_page(study: Study) -> str:
     """Renders one self-contained HTML page. Raises `ReportError` if the page cannot be rendered."""
     from markupsafe import Markup
 
@@ -39,4 +37,4 @@ def render_page(study: Study, folder: Path | None = None) -> str:
         ],
         "notes": list(study.notes),
     }
-    return render("design.html", given, folder)
+    return render("design.html", given)

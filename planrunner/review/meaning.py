@@ -98,23 +98,17 @@ def canonical_json(value: Json) -> bytes:
     return rfc8785.dumps(value)
 
 
-def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
-    """Returns the SHA-256 of the meaning of a plan, as 64 hexadecimal digits. Raises `InputError` for a plan with errors.
-
-    `bench`: the bench on which the plan runs. If a bench is given, the digest also covers the meaning of the bench; otherwise, it
-    covers only the name of the bench in the plan.
-    """
-    return meaning_of_plan(plan, bench).digest()
-
-
 def digest_of_bench(bench: Bench) -> str:
     """Returns the SHA-256 of the meaning of a bench, as 64 hexadecimal digits."""
     return meaning_of_bench(bench).digest()
 
 
 def meaning_of_plan(plan: Plan, bench: Bench | None = None) -> Meaning:
-    """Returns the meaning of a plan. `bench`: as for `digest_of_plan`. Raises `InputError` with the findings if the plan has
-    errors."""
+    """Returns the meaning of a plan. Raises `InputError` with the findings if the plan has errors.
+
+    `bench`: the bench on which the plan runs. If a bench is given, the meaning contains the meaning of the bench; otherwise, it
+    contains only the name of the bench in the plan.
+    """
     log = Findings()
     for name in sorted(plan.origin.broken):
         log.error("review-unread", plan.at(name), f"'{name}' could not be read completely", "correct it first")

@@ -147,7 +147,6 @@ def sign_run(
     comment: str = "",
     *,
     analyses: Iterable[int] | None = None,
-    storage: Storage | None = None,
 ) -> str:
     """Signs a run, which must have been verified as sealed and unchanged. Returns the name of the new file. The caller must hold
     the lock of the folder.
@@ -160,7 +159,7 @@ def sign_run(
     require_line(str(folder.path), "comment", comment)
     made = statement(run, _subjects(folder, analyses=analyses), result, meaning, name, comment)
     envelope = seal_envelope(PAYLOAD, payload_of(made), signer)
-    storage = storage or Storage()
+    storage = Storage()
     if folder.entry(SIGNATURES) is None:
         storage.make_folder(folder, SIGNATURES)
         storage.sync_folder(folder)

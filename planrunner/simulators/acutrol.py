@@ -43,9 +43,10 @@ class _Held:
 class Acutrol:
     """Simulates the controller of a table's axes; the axes are numbered from 1."""
 
-    def __init__(self, plant: TablePlant, identity: str = "ACUTRONIC,ACUTROL3000,simulated,1.0"):
+    identity = "ACUTRONIC,ACUTROL3000,simulated,1.0"
+
+    def __init__(self, plant: TablePlant):
         self.plant = plant
-        self.identity = identity
         self.held = [_Held() for _ in plant.axes]
         self.latched = 0
 

@@ -23,9 +23,10 @@ class EspecP300:
     """A simulated P300 controller. `address`: address of the chamber on RS-485; messages to other addresses are ignored. On TCP and
     RS-232, `address` is None."""
 
-    def __init__(self, plant: ChamberPlant, identity: str = "T,T,S2,140.0", address: int | None = None):
+    identity = "T,T,S2,140.0"
+
+    def __init__(self, plant: ChamberPlant, address: int | None = None):
         self.plant = plant
-        self.identity = identity
         self.address = address
         self.mode = "STANDBY"
 

@@ -28,13 +28,12 @@ from planrunner.plan.quantity import Quantity
 class RunningClock:
     """Counts the seconds since the simulated bench was switched on. `speed`: seconds of the bench per second of real time."""
 
-    def __init__(self, speed: float = 1.0, monotonic: Callable[[], float] = time.monotonic):
+    def __init__(self, speed: float = 1.0):
         self.speed = speed
-        self._monotonic = monotonic
-        self._origin = monotonic()
+        self._origin = time.monotonic()
 
     def now(self) -> float:
-        return (self._monotonic() - self._origin) * self.speed
+        return (time.monotonic() - self._origin) * self.speed
 
     def sleep(self, seconds: float) -> None:
         """Must not be called, because a simulated instrument cannot wait: it is queried at its current time."""

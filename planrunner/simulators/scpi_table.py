@@ -19,9 +19,10 @@ class ScpiTable:
     """A simulated table with SCPI-like commands. The axes of the table are numbered from 1, and angles are in degrees. An unknown
     or impossible command adds an error to the queue."""
 
-    def __init__(self, plant: TablePlant, identity: str = "Example,One-axis table,simulated,1.0"):
+    identity = "Example,One-axis table,simulated,1.0"
+
+    def __init__(self, plant: TablePlant):
         self.plant = plant
-        self.identity = identity
         self.rates = [math.degrees(axis.model.max_rate) for axis in plant.axes]
         self.accelerations = [math.degrees(axis.model.max_acceleration) for axis in plant.axes]
         self.errors: list[str] = []

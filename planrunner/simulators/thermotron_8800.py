@@ -20,9 +20,10 @@ _OPERATION = re.compile(r"([A-Z]+)1,(\S+)")
 class Thermotron8800:
     """Simulates a controller whose channel 1 is the temperature of the air in degC; ramps are in K/min."""
 
-    def __init__(self, plant: ChamberPlant, identity: str = "8800"):
+    identity = "8800"
+
+    def __init__(self, plant: ChamberPlant):
         self.plant = plant
-        self.identity = identity
 
     def answer(self, message: str) -> str | None:
         message = message.strip().upper()

@@ -21,9 +21,10 @@ _ACTIONS = ("OFF", "STARTUP", "SETPOINT", "BOTH")
 class WatlowF4t:
     """Control loop 1 and output 1 of a simulated chamber. The chamber ignores messages that it does not understand."""
 
-    def __init__(self, plant: ChamberPlant, identity: str = "WATLOW,F4T,simulated,4.07"):
+    identity = "WATLOW,F4T,simulated,4.07"
+
+    def __init__(self, plant: ChamberPlant):
         self.plant = plant
-        self.identity = identity
         self.unit = "C"
         self.action, self.scale, self.rate = "OFF", "MINUTES", 0.0
 

@@ -14,7 +14,7 @@ from planrunner.archive import seal as seals
 from planrunner.archive.analyses import StoredAnalysis
 from planrunner.archive.lock import FolderLock
 from planrunner.archive.run_reader import RunReader
-from planrunner.archive.storage import Storage, digest
+from planrunner.archive.storage import digest
 from planrunner.base.findings import Finding, Findings, InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.bench.model import Bench
@@ -66,14 +66,14 @@ def check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
         log.warning("bench-signing-key-missing", mark, message, "`planrunner key new --for-bench`, or ssh-add")
 
 
-def sign_seal(folder: GuardedFolder, run: str, bench: Bench, storage: Storage | None = None) -> tuple[Finding, ...]:
+def sign_seal(folder: GuardedFolder, run: str, bench: Bench) -> tuple[Finding, ...]:
     """Signs the seal that the caller has just written while it holds the lock. Returns the reason why the seal is not signed; empty
     if it is signed or does not need a signature."""
     public = key_of(bench)
     if public is None:
         return ()
     try:
-        _sign(folder, run, bench.name, bench_signer(public), "recorded", "WARNED", (), storage)
+        _sign(folder, run, bench.name, bench_signer(public), "recorded", "WARNED", ())
     except (BenchKeyError, InputError, OSError) as error:
         hint = f"`planrunner sign {folder.path} --as recorded` signs it later"
         message = f"the seal is not signed by the key of the bench: {reason(error)}"
@@ -124,9 +124,8 @@ def _sign(
     meaning: BenchMeaning,
     result: TestResult,
     analyses: tuple[int, ...],
-    storage: Storage | None = None,
 ) -> None:
-    sign_run(folder, run, signer, result, meaning, bench, analyses=analyses, storage=storage)
+    sign_run(folder, run, signer, result, meaning, bench, analyses=analyses)
 
 
 @contextmanager

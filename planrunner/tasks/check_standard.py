@@ -238,7 +238,6 @@ def admit_again(
     bench: Bench,
     run: RunReader,
     override: Override | None = None,
-    notice: Announce | None = None,
     bench_file: Path | None = None,
 ) -> Admission:
     """Checks whether a run may be continued. The state of the check standard is determined again, from the archive that contains
@@ -255,7 +254,9 @@ def admit_again(
         message = "the signed override for this bench is next to the bench file, not in the run folder"
         hint = "name the file of the bench with --bench"
         raise InputError.at(rule.at("may_override"), "bench-check-override", message, hint)
-    return admit(bench, str(run.run["plan"]), run.run["info"], run.path.absolute().parent, override, notice, signature)
+    return admit(
+        bench, str(run.run["plan"]), run.run["info"], run.path.absolute().parent, override, signature=signature
+    )
 
 
 def _signature_kept(bench: Bench, run: RunReader, began: JsonObject, bench_file: Path | None) -> JsonObject | None:

@@ -187,7 +187,6 @@ def resume(
     trust_bench: bool = False,
     approvals: Path | None = None,
     override: Override | None = None,
-    notice: Announce | None = None,
 ) -> Outcome:
     """Continues an interrupted run with its plan and bench, or repeats segments of a finished or unfinished run.
 
@@ -220,7 +219,6 @@ def resume(
             trust_bench=trust_bench,
             approvals=approvals,
             override=override,
-            notice=notice,
         )
     finally:
         lock.release()
@@ -264,7 +262,6 @@ def _resume(
     trust_bench: bool,
     approvals: Path | None,
     override: Override | None,
-    notice: Announce | None,
 ) -> Outcome:
     """Continues a run while its folder is locked. `file`: the bench file to use instead of the one in the folder."""
     if reader.sealed and retake is None:
@@ -276,7 +273,7 @@ def _resume(
     if file is None and not trust_bench:
         _require_made_here(reader, sound)
     further = still_approved(reader, sound.plan, sound.bench, None if file is None else Path(file.shown), approvals)
-    admission = admit_again(sound.bench, reader, override, notice, None if file is None else Path(file.shown))
+    admission = admit_again(sound.bench, reader, override, None if file is None else Path(file.shown))
     again = () if retake is None else _chosen(reader, retake.labels)
     operator = _attended(sound, operator)
     reason = None if retake is None else retake.reason

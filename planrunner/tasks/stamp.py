@@ -32,12 +32,12 @@ def stamper_of(bench: Bench) -> Stamper | None:
     return None if spec is None else Stamper(spec.url, authority_of(spec), spec.every.value)
 
 
-def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority, storage: Storage | None = None) -> str:
+def stamp_seal(folder: GuardedFolder, url: str, authority: StampAuthority) -> str:
     """Stamps the present seal of a run. The caller must hold the lock of the run folder. Returns the time that the stamp states.
     Raises `StampError` if no valid time stamp is obtained, and `OSError` if the stamp cannot be written."""
     seal = folder.read(seals.NAME, seals.MOST_BYTES)
     token, at = request_stamp(url, seal, digest(seal), authority)
-    keep_stamp(folder, storage or Storage(), f"seal-{digest(token)[:DIGITS]}", token)
+    keep_stamp(folder, Storage(), f"seal-{digest(token)[:DIGITS]}", token)
     return at.isoformat()
 
 

@@ -12,9 +12,9 @@ import pytest
 from respelling import respelled
 
 from planrunner.base.findings import InputError
-from planrunner.bench.model import read_bench
+from planrunner.bench.model import Bench, read_bench
 from planrunner.plan.model import Plan, parse_plan
-from planrunner.review.meaning import Meaning, digest_of_bench, digest_of_plan, meaning_of_bench, meaning_of_plan
+from planrunner.review.meaning import Meaning, digest_of_bench, meaning_of_bench, meaning_of_plan
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "plans").glob("*.yaml"))
@@ -36,6 +36,10 @@ def plan_of(text: str) -> Plan:
     plan, log = parse_plan(text, "plan")
     assert plan is not None and not log.errors, list(map(str, log))
     return plan
+
+
+def digest_of_plan(plan: Plan, bench: Bench | None = None) -> str:
+    return meaning_of_plan(plan, bench).digest()
 
 
 def meaning(text: str) -> Meaning:

@@ -63,10 +63,10 @@ class ChangePoint:
     causes: tuple[CauseCandidate, ...] = ()
 
 
-def change_points(values: Array, sigma: Array, level: float = LEVEL) -> tuple[ChangePoint, ...]:
+def change_points(values: Array, sigma: Array) -> tuple[ChangePoint, ...]:
     """Returns all changes of the level in the order of time. `values`: array of shape (n,), the values in the order of time.
     `sigma`: array of shape (n,), positive standard deviations of the values."""
-    found = sorted(_search(values, sigma, 0, len(values), level))
+    found = sorted(_search(values, sigma, 0, len(values)))
     edges = [0, *found, len(values)]
     points = []
     for before, index, end in zip(edges, edges[1:], edges[2:], strict=False):
@@ -75,7 +75,7 @@ def change_points(values: Array, sigma: Array, level: float = LEVEL) -> tuple[Ch
     return tuple(points)
 
 
-def _search(values: Array, sigma: Array, begin: int, end: int, level: float) -> Iterator[int]:
+def _search(values: Array, sigma: Array, begin: int, end: int) -> Iterator[int]:
     n = end - begin
     if n < 2:
         return
@@ -85,12 +85,12 @@ def _search(values: Array, sigma: Array, begin: int, end: int, level: float) -> 
     steps = (sums[-1] - sums[:-1]) / after - sums[:-1] / before
     T = steps**2 / (1 / before + 1 / after)
     k = int(np.argmax(T))
-    if _p(math.sqrt(T[k]), n) > level:
+    if _p(math.sqrt(T[k]), n) > LEVEL:
         return
     index = begin + k + 1
     yield index
-    yield from _search(values, sigma, begin, index, level)
-    yield from _search(values, sigma, index, end, level)
+    yield from _search(values, sigma, begin, index)
+    yield from _search(values, sigma, index, end)
 
 
 def _step(values: Array, sigma: Array, begin: int, index: int, end: int) -> tuple[float, float]:
