@@ -28,7 +28,7 @@ MOST_BYTES = 2**28
 """Maximum size in bytes of a file of an analysis."""
 MOST_DIGESTS = 2**20
 MOST_RESULTS = 2**27
-"""Maximum size in bytes of a list of digests, and of results that are read again."""
+"""Maximum sizes in bytes: of a list of digests, and of results that are read again."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,7 +137,8 @@ def event_fault(event: Mapping[str, Json]) -> str | None:
 
 @lru_cache(maxsize=1)
 def _events() -> dict[str, Check]:
-    """Maps each kind of event to a check of the keys common to all events and of the keys of this kind."""
+    """Maps each kind of event to a function that checks an event of this kind: the keys that all events have, and the keys of the
+    kind."""
     whole = schema("journal-event")
     checks = {}
     for kind, branch in whole["$defs"]["events"].items():

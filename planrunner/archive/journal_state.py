@@ -59,14 +59,14 @@ class JournalState:
     """Contains the state of a run according to its journal.
 
     `clock`, `states`: time and states that were stored with the last acknowledged segment; the run can be resumed from them.
-    `open`: the segment during which the process ended; None if the process ended between segments. `earlier_seals`: for each time
-    that the run was reopened, maps the SHA-256 of its seal to the number of events at that time. `turning_times`: number and time
-    of certain events: the first, the last, and the two events before and after each step back in time. `planned`: number of
-    segments in the schedule; 0 if the run never started. `stamped`, `unstamped`: the events about time stamps that were obtained,
-    and the events about time stamps that could not be obtained. `unstamped_ends`: numbers of certain events `finished`. At such an
-    event, a part of the journal had no time stamp, and no event explained why. `renewals`: the time of each event that reopened the
-    run with further approvals, and the entries of these approvals. `standards`: for each event that reopened the run on a bench
-    with a check standard, its time and the state of the check standard at that time.
+    `open`: the segment during which the process ended; None if the process ended between segments. `earlier_seals`: maps the
+    SHA-256 of each seal that the run had before it was reopened to the number of events at the reopening. `turning_times`: number
+    and time of certain events: the first, the last, and the two events before and after each step back in time. `planned`: number
+    of segments in the schedule; 0 if the run never started. `stamped`, `unstamped`: the events about time stamps that were
+    obtained, and the events about time stamps that could not be obtained. `unstamped_ends`: numbers of certain events `finished`.
+    At such an event, a part of the journal had no time stamp, and no event explained why. `renewals`: the time of each event that
+    reopened the run with further approvals, and the entries of these approvals. `standards`: for each event that reopened the run
+    on a bench with a check standard, its time and the state of the check standard at that time.
     """
 
     created: JsonObject = field(default_factory=dict)

@@ -51,8 +51,8 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """Contains a strip chart of a channel: the smallest value, the mean and the largest value of each of many short consecutive
-    intervals; NaN for an interval without samples."""
+    """Contains a strip chart of a channel. For each of many short consecutive intervals, it contains the smallest value, the mean
+    and the largest value; NaN for an interval without samples."""
 
     least: tuple[float, ...] = ()
     mean: tuple[float, ...] = ()

@@ -68,8 +68,8 @@ MOST_SHOWN = 20
 RecordedEntries = dict[str, Entry]
 
 SampleCheck = Literal["sizes", "digests", "contents"]
-"""Depth of the check of sample files: that each file exists and has the right size; in addition, its digest; in addition, its rows
-and columns."""
+"""Depth of the check of sample files. `sizes`: each file exists and has the right size. `digests`: also, its digest is right.
+`contents`: also, its rows and columns are right."""
 
 CLOCKS_DIFFER = timedelta(hours=1)
 """Largest expected difference between the clocks of two computers: the one that reads a run and the one that wrote it."""

@@ -133,7 +133,7 @@ def _fail(error: Exception, *, as_json: bool) -> int:
 
 
 def _let_go_of_output() -> None:
-    """Discards output that could not be written, so that the interpreter does not fail when it tries to write it at exit."""
+    """Discards output that could not be written. Otherwise, the interpreter would try to write it again at exit, and fail."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError, AttributeError):

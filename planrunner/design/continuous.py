@@ -133,9 +133,9 @@ def judged(
 
 
 def _step(shares: Array, gain: Array, p: int) -> Array:
-    """Makes one step of the fractions, and returns the new fractions. The step is towards the candidate with the largest variance
-    d, or away from the candidate with the smallest d. The latter is chosen among the candidates with a fraction above zero. The
-    candidate with the larger difference between d and p is chosen. The length of the step maximises |M|."""
+    """Makes one step of the fractions, and returns the new fractions. There are two possible steps: towards the candidate with the
+    largest variance d, or away from the candidate with the smallest d among those with a fraction above zero. The step is made for
+    the candidate whose d differs more from p. The length of the step maximises |M|."""
     up = int(np.argmax(gain))
     held = np.flatnonzero(shares > 0.0)
     down = int(held[np.argmin(gain[held])])

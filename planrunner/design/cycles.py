@@ -300,8 +300,8 @@ class _Search:
 
 
 def _steps(angles: Sequence[float], start: int, near: bool) -> list[tuple[int, float]]:
-    """Returns the permitted steps of at most half a turn from one position, as pairs of the index of the next position and the turn
-    to it. The shortest turn comes first; of two equally long turns, the positive turn comes first."""
+    """Returns the permitted steps of at most half a turn from one position. Each step is a pair: the index of the next position,
+    and the turn to that position. The shortest turn comes first; of two equally long turns, the positive turn comes first."""
     count = len(angles)
     ends = [(start + 1) % count, (start - 1) % count] if near else [index for index in range(count) if index != start]
     found = set()

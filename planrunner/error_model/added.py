@@ -224,9 +224,9 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
 
 
 def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], before: float | None = None) -> Array:
-    """Applies, to the readings of an output, the effects that make samples stick (repeat an earlier reading). Returns the changed
-    readings, shape (n,). Each stuck sample repeats an earlier reading. `time`: array of shape (n,), s since power-on. `before`: the
-    reading before the first of `values`."""
+    """Applies to the readings of an output the effects that make samples stick. A stuck sample repeats an earlier reading. Returns
+    the changed readings, shape (n,). `time`: array of shape (n,), s since power-on. `before`: the reading before the first of
+    `values`."""
     for item in additions:
         if isinstance(item.effect, SamplesStuck):
             lasting = item.values.get(f"{LASTING}_{name}", item.values.get(LASTING, 0.0))

@@ -5,9 +5,9 @@ recording, or at the bins of a long recording.
 
 The effects act in three stages. First, an effect of the stimulus that has amplitudes (a lever arm, a ripple of the table's rate)
 changes the stimulus of all other columns. The sensor's scale factor and misalignments therefore also act on this change, and the
-model is not linear in the amplitude of such an effect. In the second step, an effect that changes the rate (a lag or a delay) acts
-on the rate, and all columns are evaluated at the changed rate. Last, an effect on the output (a dead zone, a limit) acts as the
-function F. Effects of the last two stages have no amplitudes, only a shape. The columns come from the catalogue of effects.
+model is not linear in the amplitude of such an effect. Second, an effect that changes the rate (a lag or a delay) acts on the rate,
+and all columns are evaluated at the changed rate. Third, an effect on the output (a dead zone, a limit) acts as the function F.
+Effects of the second and the third stage have no amplitudes, only a shape. The columns come from the catalogue of effects.
 Simulations add the same columns, and the diagnosis searches for them.
 """
 

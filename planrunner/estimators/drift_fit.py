@@ -49,7 +49,7 @@ SUSPECTED = 2 * SIGNIFICANCE
 """p-value below which a drift is suspected although it is not adopted. With this limit, fewer than one in twenty fits of two
 outputs give a false warning; this number covers all tests of a fit together."""
 FEW = 4
-"""Number of degrees of freedom of an output below which a drift that changes coefficients can remain unnoticed."""
+"""If an output has fewer degrees of freedom than this, a drift that changes coefficients can remain unnoticed."""
 DOUBTED = 0.2
 """p-value of a drift or of the residuals. Below it, the change that the drift would cause is included in the uncertainty, although
 the drift is not adopted. This applies to fits with fewer than `FEW` degrees of freedom."""

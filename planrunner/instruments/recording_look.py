@@ -492,8 +492,9 @@ def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
 
 
 def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
-    """Returns the spans in which every sensor is at rest. A sensor is at rest if its mean does not change much between windows, and
-    if its scatter is similar to the scatter in its quietest windows, or small compared with the scatter in motion."""
+    """Returns the spans in which every sensor is at rest. A sensor is at rest if two conditions hold. First, its mean does not
+    change much between windows. Second, its scatter is similar to the scatter in its quietest windows, or small compared with the
+    scatter in motion."""
     if not columns or not len(windows.begin):
         return ()
     quiet = np.ones(len(windows.begin), bool)

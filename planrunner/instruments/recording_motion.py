@@ -59,9 +59,9 @@ class _Turn:
 def turns_compared(gyro: Array, accel: Array, begin: Array, end: Array, still: Sequence[Span]) -> TurnComparison | None:
     """Compares gyros with accelerometers over the turns between the intervals at rest `still`.
 
-    Returns None if there are fewer than `LEAST_TURNS` turns, if no unit and assignment of axes make gyros and accelerometers agree,
-    or if several do. `gyro`, `accel`: arrays of shape (n, 3), averages of the outputs over n windows. `begin`, `end`: arrays of
-    shape (n,), start and end times of the windows, s."""
+    Returns None if there are fewer than `LEAST_TURNS` turns. Also returns None unless exactly one combination of a unit and an
+    assignment of axes makes gyros and accelerometers agree. `gyro`, `accel`: arrays of shape (n, 3), averages of the outputs over n
+    windows. `begin`, `end`: arrays of shape (n,), start and end times of the windows, s."""
     turns = list(_turns(gyro, accel, begin, end, still))
     if len(turns) < LEAST_TURNS:
         return None

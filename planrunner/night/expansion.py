@@ -82,7 +82,7 @@ class StandardFirst:
 
 
 CHECK_STANDARD = "check standard"
-"""Used instead of the name of a plan. No plan can have this name."""
+"""Name of the plan in the tests that measure a check standard. No plan in a suite can have this name."""
 
 
 def expand_suite(
@@ -274,9 +274,9 @@ def _check_cycles(suite: Suite, log: Findings) -> None:
 
 
 def _cycle_from(suite: Suite, start: str, done: set[str]) -> list[str]:
-    """Searches for a cycle of plans that wait for each other: follows the plans for which a plan waits, except those in `done`.
-    Returns the cycle; empty if there is none. Adds all plans that it reaches to `done`. The search works without recursion, so that
-    a long chain causes no error."""
+    """Searches for a cycle of plans that wait for each other. The search begins with the plan `start`, and goes from each plan to
+    the plans for which it waits; plans in `done` are left out. Returns the cycle; empty if there is none. Adds all plans that the
+    search has visited to `done`. The search works without recursion, so that a long chain causes no error."""
     path: list[str] = []
     stack: list[tuple[str, bool]] = [(start, False)]
     while stack:

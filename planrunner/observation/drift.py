@@ -153,8 +153,8 @@ def drift_of(
 def courses_by_evidence(
     start: Array, end: Array, seconds: Array, kelvin: Array | None, observed: int
 ) -> tuple[DriftCourses, DriftCourses]:
-    """Returns the drift functions that n observations may show: first at the observations only, then at all r rows. The rows are
-    the observations, followed by further times.
+    """Returns the drift functions that n observations may show, in two versions. The first version has one row for each
+    observation. The second version has r rows: the observations, followed by further times.
 
     `start`, `end`: arrays of shape (r,) in s, the start and end of each observation, followed by the further times. `seconds`:
     array of shape (r,), recorded time of each observation, s, and 0 at the further times. `kelvin`: array of shape (r,),

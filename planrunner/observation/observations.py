@@ -38,8 +38,8 @@ class Observations:
     of the channels, determined from all segments. `expected`: True if the observations are predicted from a schedule; in this case,
     the means contain no noise, and the standard errors follow from the declared noise. `share`: array of shape (n,), fraction of
     the samples of each segment that are used; None if all are used. `courses`: for each of the n segments, the functions of its
-    motion that are fitted together with its mean (`Statistics.course`); None without motion. `within`: number of observations, the
-    last ones, that are not means but contrasts within segments. The standard errors of the contrasts are known.
+    motion that are fitted together with its mean (`Statistics.course`); None without motion. `within`: number of observations at
+    the end that are not means but contrasts within segments. The standard errors of the contrasts are known.
     """
 
     channels: tuple[str, ...]

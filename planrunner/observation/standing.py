@@ -23,10 +23,11 @@ _LEAST = 100  # samples of a segment that is judged
 _READ = 1 << 14  # samples from which the noise of another segment is taken
 _COMPARED = 3  # other segments, the nearest in time
 _WHITE = 1.0
-"""Limit for the ratio of the mean second difference to the mean first difference. The ratio is 1.73 for white noise, and far below
-1 for a smooth signal."""
+"""A signal counts as smooth, and shows no noise, if the ratio of its mean second difference to its mean first difference is below
+this value. The ratio is 1.73 for white noise, and far below 1 for a smooth signal."""
 RUN = 10
-"""Smallest ratio of the length of a stuck stretch to the other runs of equal samples in the same channel."""
+"""A stretch of equal samples counts as stuck only if it is more than this many times as long as every other run of equal samples in
+the channel."""
 PER_SIGMA = 1.954
 """Mean absolute second difference of white noise, in standard deviations of the noise."""
 
@@ -91,7 +92,8 @@ def _samples(item: RecordedSegment, name: str) -> Array:
 
 
 def _moves(values: Array, samples: int, chance: float) -> bool:
-    """Returns True if noise with the size of the noise of the values (n,) would change at least one of `samples` samples."""
+    """Determines the noise of the values (n,). Returns True if noise of this size would change at least one of `samples`
+    samples."""
     if len(values) < _LEAST:
         return False
     first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))
@@ -104,9 +106,9 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
-    """Returns True if white noise with the standard deviation `noise` leaves one count within `samples` samples. The criterion is
-    that the probability of staying within the count is at most `chance`. A variance of 0.3 count² is not attributed to noise,
-    because a channel that alternates between two counts has such a variance even without noise."""
+    """Returns True if white noise with the standard deviation `noise` would not stay within one count for `samples` samples: the
+    probability of staying is at most `chance`. A variance of 0.3 count² is not attributed to noise, because a channel that
+    alternates between two counts has such a variance even without noise."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:
         return False

@@ -172,8 +172,8 @@ class _Differences:
     data: bytes
 
     def words(self, approval: StatedApproval) -> str:
-        """Describes how the approved plan differs. The difference can be described only if the text of that plan is available and
-        still has the approved meaning."""
+        """Describes how the approved plan differs from the present plan. The difference can be described only if the text of the
+        approved plan is available and still has the approved meaning."""
         data = approved_text(self.folder, approval)
         if data is None:
             return ""

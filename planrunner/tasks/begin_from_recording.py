@@ -126,7 +126,7 @@ def bench_of(look: Look, name: str) -> str:
 
 
 def _labelled(look: Look) -> list[tuple[str, Span]]:
-    """Returns each dwell of a recording in which a table turned at different rates, with a label."""
+    """Returns the dwells of a recording, each with a label. In this recording, a table turned at different rates."""
     return [(f"dwell_{number}", span) for number, span in enumerate(look.dwells, start=1)]
 
 

@@ -440,7 +440,8 @@ def _other_dimension(limit: Limit, key: str, given: str, wanted: str, log: Findi
 
 
 def _foresee(limit: Limit, coefficient: Coefficient, log: Findings) -> None:
-    """Warns about a limit with a guard band that is narrower than the expected uncertainty, because no value can then pass it."""
+    """Warns about a limit with a guard band if the interval between its bounds is so narrow, compared with the expected
+    uncertainty, that no value can pass the limit."""
     if limit.rule != "guarded":
         return
     try:

@@ -166,8 +166,8 @@ def check_suite(
 
 
 def _rules(suite: Suite, file: str) -> dict[str, tuple[Bench, Path]]:
-    """Maps the name of each bench of the suite that has a check standard to the bench and the folder of the bench file. Faults of a
-    bench are reported when its plans are checked."""
+    """Maps names of benches to the bench and the folder of its file, for all benches of the suite that have a check standard.
+    Faults of a bench are reported when its plans are checked."""
     found = {}
     for name in suite.benches:
         written = bench_file(suite, file, name)

@@ -230,9 +230,9 @@ class GyroFoldOver(Shaped):
 
 
 def _clipped(observed: Observed, shape: float, limits: tuple[float, float]) -> Variant:
-    """Returns the variant of an effect that clips the output at a lower and an upper limit [rad/s]. A sample is clipped together with
-    its noise. Therefore, an output near a limit is already reduced on average: for a noise n, the mean of min(y + n, L) is
-    y + E[min(n, L − y)]. Without `scatter`, the noise is neglected."""
+    """Returns the variant of an effect that clips the output at a lower and an upper limit [rad/s]. A sample is clipped together
+    with its noise. Therefore, an output near a limit is already reduced on average: for a noise n, the mean of min(y + n, L) is y +
+    E[min(n, L − y)]. If the recording states no noise (`Observed.scatter`), the noise is neglected."""
     gyros, reach = observed.of_kind("gyro"), 0.0
     noise = np.zeros((len(gyros), 1))
     if observed.scatter is not None:

@@ -295,9 +295,9 @@ class DependsOnPast(HasShape, Protocol):
     blocks of samples."""
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """Returns a short past that replaces both the past before `observed` and the samples of `observed`. For this value of the
-        shape, the short past has the same effect on later samples. The length of the short past does not grow with the number of
-        samples."""
+        """Returns a short course of temperatures that replaces all earlier temperatures: those before `observed` and those of the
+        samples of `observed`. If the shape has the given value, the short course has the same effect on later samples. Its length
+        does not grow with the number of samples."""
 
 
 @runtime_checkable
@@ -312,8 +312,8 @@ class CurvedAndShaped(HasShape, Protocol):
     """An effect that has a shape, and that is proportional to its amplitudes only while they are small."""
 
     def secant(self, amplitudes: Array) -> Shaped:
-        """Returns the effect for given `amplitudes` (SI), which need not be small: the sum of its columns, each multiplied by its
-        amplitude, is the complete effect."""
+        """Returns the effect for given `amplitudes` (SI), which need not be small. At these amplitudes, the sum of its columns,
+        each multiplied by its amplitude, is exactly the effect."""
 
 
 @runtime_checkable
@@ -321,8 +321,8 @@ class Curved(Effect, Protocol):
     """An effect that is proportional to its amplitudes only while they are small."""
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """Returns the variants for given `amplitudes` (SI), which need not be small: the sum of the columns, each multiplied by its
-        amplitude, is the complete effect."""
+        """Returns the variants for given `amplitudes` (SI), which need not be small. At these amplitudes, the sum of the columns,
+        each multiplied by its amplitude, is exactly the effect."""
 
 
 class Shaped:

@@ -17,8 +17,8 @@ _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 1e-3 * G, 1.0)}
 
 _ARCSEC = np.pi / 180 / 3600
 _CROSS = ((1, 2, 1.0), (2, 0, 1.0), (0, 1, 1.0), (2, 1, -1.0), (0, 2, -1.0), (1, 0, -1.0))
-"""The terms of the cross product v × e. Each term states the axis of e, the axis of the result, and the sign of the product with
-the component of v along the third axis."""
+"""The terms of the cross product v × e. A term (i, j, s) means that component j of the result contains s times component i of e
+times the component of v along the third axis."""
 
 
 def _about(triad: str) -> About:
@@ -185,8 +185,9 @@ def _both_signs(observed: Observed) -> Array:
 
 
 def _after(observed: Observed, moment: float, table: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Returns a copy of a table (N, P) with zeros before a moment, and a mask (S,) of the segments that end after this moment. If no
-    segment contains the moment, returns the table itself instead of a copy, because columns of the same table are evaluated together."""
+    """Returns a copy of a table (N, P) with zeros before a moment, and a mask (S,) of the segments that end after this moment. If
+    no segment contains the moment, returns the table itself instead of a copy, so that all columns of this table are evaluated
+    together."""
     first, last = observed.time[observed.bounds[:-1]], observed.time[observed.bounds[1:] - 1]
     acting = np.asarray(last >= moment)
     if not (acting & (first < moment)).any():

@@ -124,8 +124,8 @@ def planned_averaging(
 
 
 def _least_freedom(factor: int, lengths: Integers) -> float:
-    """Returns the degrees of freedom of an Allan variance for an unknown type of noise: the smallest value of all possible
-    types."""
+    """Returns the smallest number of degrees of freedom that an Allan variance can have. The number depends on the type of noise,
+    which is not known before the recording."""
     return min(freedom_of_runs(alpha, 2, factor, lengths) for alpha in _EXPONENTS)
 
 

@@ -155,8 +155,8 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
     """Returns the most probable explanations that predict different recordings, at most `MOST`.
 
     Effects that act only on the noise predict nothing. Explanations that differ only in such effects therefore count as one
-    explanation. "Unknown" and "none" also predict nothing. "Unknown" and "none" therefore count as one explanation, which has the
-    name of the more probable one.
+    explanation. "Unknown" and "none" also predict nothing, so they count as one explanation too; it has the name of the more
+    probable of the two.
     """
     by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
     silent = max(SILENT, key=lambda name: found.probability[name])

@@ -3,10 +3,10 @@ catalogue does not contain the cause, also determines the form of the gap along 
 
 The factors are orientation, rate, temperature, time, angle of the table, and frequency band. The evidence for the patterns of the
 open set determines which factor the whitened residual of a channel follows. The levels of a factor are compared by a score. The
-score of a level is the difference between its energy and the energy of pure noise, in standard deviations of the energy of pure
-noise. Many levels are examined, so a single high score may be chance. Therefore, pure noise is simulated and projected like the
-data. The p-value of a level is the probability that the highest score of all levels in pure noise is at least as high as the score
-of this level (max-statistic parametric bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
+score of a level states by how many standard deviations its energy exceeds the energy that pure noise would have. Many levels are
+examined, so a single high score may be chance. Therefore, pure noise is simulated and projected like the data. The p-value of a
+level is the probability that, in pure noise, the highest score of all levels reaches the score of this level (max-statistic
+parametric bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
 
 The patterns of `hypotheses.open_set` compete with the effects of the catalogue. The most probable pattern determines the factor
 that an unknown gap follows. The residuals of the simulation give the form of this gap.
@@ -38,8 +38,8 @@ REPLICATES = 400
 SEED = 20
 _LEVELS = 4  # bins of temperature and time
 _NEAR = math.sqrt(2 - 2 * 0.999)
-"""An axis is described by the word for a direction if the vector between their unit vectors is shorter than this length, which
-means that the cosine of the angle between them is more than 0.999."""
+"""An axis is described by the word for a direction if the difference between their unit vectors is shorter than this length. The
+cosine of the angle between them is then above 0.999."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +111,8 @@ def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -
 
 
 def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
-    """Yields the place and its score for every channel and level. The score is the difference between the energy and the energy of
-    pure noise, in standard deviations of the energy of pure noise."""
+    """Yields the place and its score for every channel and level. The score states by how many standard deviations the energy
+    exceeds the energy that pure noise would have."""
     channels = [channel.name for channel in weighing.observed.channels]
     listed = list(_masks(weighing))
     masks = np.array([mask for _, _, mask in listed], dtype=float)

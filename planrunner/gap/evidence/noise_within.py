@@ -234,13 +234,13 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
 
 def _peaks(noise: NoiseWithin, observed: Observed, spectrum: Spectrum, white: Array) -> Array:
     """Returns the least variance of the harmonics of the motion, relative to the level of the segment, shape (M, K); zero for other
-    coefficients. The least variance is the spectrum of all segments, at rest and in motion. A segment alone is not used, because
+    coefficients. The least variance is the spectrum of all segments, at rest and in motion. A single segment is not used, because
     the few neighbours of a harmonic in its own segment may be small by chance. In addition, a resonance or a line of the noise can
-    be much narrower than a band. The cosine transform of the remainder shows such a peak with the resolution of a segment's length.
-    At rest, the variance of a harmonic that is observed for the time T is the mean of the squares of these coefficients with the
-    weight sinc²(T·(f − f₀)). In motion, the remainder does not contain the harmonic itself. Its neighbours up to the distance 2/T
-    are used instead. A peak counts if Schwarz's criterion prefers it to the spectrum of the bands. The criterion counts these
-    coefficients if the noise is known to be coloured, and otherwise all coefficients.
+    be much narrower than a band. The coefficients of the remainder's cosine transform show such a peak with the resolution of a
+    segment's length. Let a harmonic of the frequency f₀ be observed for the time T. At rest, its variance is the mean of the
+    squares of these coefficients with the weight sinc²(T·(f − f₀)). In motion, the remainder does not contain the harmonic itself,
+    so its neighbours up to the distance 2/T are used instead. A peak counts if Schwarz's criterion prefers it to the spectrum of
+    the bands. The criterion counts these coefficients if the noise is known to be coloured, and otherwise all coefficients.
     """
     from scipy.fft import dct
 

@@ -71,8 +71,8 @@ class Decoder(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """Status bits of a frame, in the field `item`. `words`: meaning of each bit that can mark a frame as doubtful. A frame is
-    doubtful if one of these bits is set or, if `set_is_good` is True, if one of them is not set."""
+    """Status bits of a frame, in the field `item`. `words`: meaning of each bit that can mark a frame as doubtful. `set_is_good`:
+    False if a set bit makes the frame doubtful, True if a bit that is not set makes the frame doubtful."""
 
     item: Field
     name: str

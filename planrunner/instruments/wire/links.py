@@ -4,8 +4,8 @@ Each resource has only one exchange at a time. A link that failed is closed befo
 before each request. A late reply is therefore never mistaken for the reply to the next request. No operation waits longer than its
 time-out. PyVISA is imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
 
-This module also declares the keys in the bench file for the connection and the identification of such an instrument, and the bases
-of instruments and drivers that use the commands of a controller.
+This module also declares the keys in the bench file for the connection and the identification of such an instrument, and the base
+classes of instruments and drivers that use the commands of a controller.
 """
 
 from __future__ import annotations
