@@ -70,6 +70,7 @@ _SETTLED = 0.25  # s: so far from a turn to a stop, a change is no part of the t
 _JERK = 1.5  # mean changes around a sample, in a segment that may move freely: less is no outlier
 _LEAST = 16  # samples of a segment that is examined
 _TOGETHER = 8  # good samples between outliers of one burst, at most
+_ROUGH = 1 / 6  # of the second differences of white noise: those of a sine with six samples per period
 _SPIKE = 3  # samples of a spike, at most
 _MANY, _SHARE, _BURSTS = (
     20,
@@ -130,8 +131,9 @@ def watch_of(sensor: SensorModel) -> WatcherOf:
             if output.name in units and varies(output):
                 counts[output.name], scales[output.name] = output.noise.resolution, output.full_scale
         steady = isinstance(segment.motion, Rest | Spin) and segment.attitude is not None
+        still = steady and isinstance(segment.motion, Rest)
         stopping = isinstance(segment.motion, Cycle)
-        return Screening(counts, scales, rows, steady=steady, stopping=stopping, angles=angles)
+        return Screening(counts, scales, rows, steady=steady, still=still, stopping=stopping, angles=angles)
 
     return watch
 
@@ -308,14 +310,16 @@ class Screening:
         rows: int,
         *,
         steady: bool,
+        still: bool = False,
         stopping: bool = False,
         angles: Sequence[AngleSpikes] = (),
     ):
         """`counts`: declared count of each channel, 0 if none is declared. `full_scales`: full scale of each channel, for both
         signs. Counts and full scales are in the channel's unit. `steady`: True if the plan has the sensor at rest or at a constant
-        rate, so that the motion causes no changes within the segment. `stopping`: True if the segment is planned as turns with
-        stops in between."""
-        self.channels, self.steady, self.stopping, self.angles = tuple(counts), steady, stopping, angles
+        rate, so that the motion causes no changes within the segment. `still`: True if the plan has the sensor at rest.
+        `stopping`: True if the segment is planned as turns with stops in between."""
+        self.channels, self.steady, self.still, self.stopping = tuple(counts), steady, still, stopping
+        self.angles = angles
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
         k, room = len(self.channels), min(_PIECE, max(rows, 1))
@@ -617,6 +621,7 @@ class Screening:
         if len(self.found[k]) >= _KEPT:
             self.more[k] += 1
             return
+        beyond = values[max(0, low - 2) : high + 2] - level
         self.found[k].append(
             Find(
                 FindKind.SPIKE if high - low <= _SPIKE else FindKind.BURST,
@@ -629,6 +634,7 @@ class Screening:
                 1.4826 * float(np.median(np.abs(around - np.median(around)))),
                 float(np.median(before)),
                 float(np.median(after)),
+                bad=high - low <= _SPIKE or self.still or _is_rough(beyond),
             )
         )
 
@@ -651,10 +657,10 @@ class Screening:
         return [*found, *self._flat_tops(k, found), *self._steps(k, found)]
 
     def _judged(self, one: Find) -> Find:
-        """Decides whether a burst counts as bad. A burst at the start or the end of a segment may be caused by motion; such a burst
-        is reported, but its samples are kept."""
+        """Decides whether a burst counts as bad. In a segment with motion, a smooth burst at the start or the end may be the motion
+        itself; such a burst is reported, but its samples are kept. Any other burst counts as bad."""
         at_an_end = one.first < _SPIKE or one.first + one.rows > self.row - _SPIKE
-        return replace(one, bad=False) if one.kind is FindKind.BURST and at_an_end else one
+        return one if at_an_end else replace(one, bad=True)
 
     def _stretch(self, k: int, run: _Run) -> Find:
         """Makes the finding for a run of equal samples. The run counts as clipped if its value is the full scale. A run also counts
@@ -782,6 +788,13 @@ def _stands_out(window: _Window) -> bool:
         if off.max() > _APART * window.usual:
             return True
     return False
+
+
+def _is_rough(values: Array) -> bool:
+    """Returns True if values (n,) change too irregularly to be a sampled motion. The measure is the sum of the squared second
+    differences relative to its expectation for white noise, 6·Σx². It is 1/6 for a sine with six samples per period, and at most
+    1/12 for four or more samples on one new level. Values with a faster change also average out, as far as they are motion."""
+    return bool(np.sum(np.diff(values, 2) ** 2) > _ROUGH * 6 * np.sum(values**2))
 
 
 def _changes_before(x: Array, size: int, places: RowNumbers, noise: float) -> Array:

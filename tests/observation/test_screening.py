@@ -20,11 +20,13 @@ Array = NDArray[np.float64]
 ROWS, STEP = 6000, 0.02
 
 
-def screened(values: Array, *, steady: bool = True, time: Array | None = None, rows: int = 997) -> tuple[Find, ...]:
+def screened(
+    values: Array, *, steady: bool = True, still: bool = False, time: Array | None = None, rows: int = 997
+) -> tuple[Find, ...]:
     """values: (k, n)."""
     times: Array = np.asarray(100 + np.arange(values.shape[1]) * STEP if time is None else time, dtype=float)
     names = [f"c{k}" for k in range(len(values))]
-    screening = Screening(dict.fromkeys(names, 0.0), {}, values.shape[1], steady=steady)
+    screening = Screening(dict.fromkeys(names, 0.0), {}, values.shape[1], steady=steady, still=still)
     for low in range(0, values.shape[1], rows):
         part = slice(low, low + rows)
         screening.add(Block(times[part], {name: values[k, part] for k, name in enumerate(names)}))
@@ -102,6 +104,29 @@ def test_a_burst_is_one_find() -> None:
     values = noise()
     values[0, 3000:3020] += 40 * np.where(np.arange(20) % 2, 1, -1)
     assert bad(screened(values)) == [(FindKind.BURST, 3000, 20)]
+
+
+@pytest.mark.parametrize("begins", [True, False])
+@pytest.mark.parametrize(
+    ("shape", "left_out"),
+    [
+        ([-91.0, -79, -33, 95, 11, -36, 48, 5, 57], True),  # scatters
+        ([80.0, -60, 40, -20], True),  # rings at half the sample rate
+        (np.linspace(90, 10, 9), False),  # a table that slows down
+        ([50.0] * 4, False),  # a rate that is reached four samples late
+        (60 * np.sin(np.arange(1, 8) * np.pi / 4), False),  # an oscillation with eight samples per period
+    ],
+)
+def test_a_burst_at_an_end_is_left_out_unless_it_may_be_motion(
+    begins: bool, shape: Sequence[float], left_out: bool
+) -> None:
+    """At rest, motion is as wrong as any other cause."""
+    values, rows = noise(channels=1), len(shape)
+    place = slice(0, rows) if begins else slice(ROWS - rows, ROWS)
+    values[0, place] += shape if begins else shape[::-1]
+    (turning,), (resting,) = screened(values), screened(values, still=True)
+    assert turning.kind is FindKind.BURST and abs(turning.rows - rows) <= 1
+    assert (turning.bad, resting.bad) == (left_out, True)
 
 
 def test_a_stuck_second_of_all_channels_is_found_in_each() -> None:
