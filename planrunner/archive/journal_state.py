@@ -56,7 +56,7 @@ class Rejected:
 
 @dataclass(slots=True)
 class JournalState:
-    """Contains the state of a run according to its journal.
+    """Contains the state of a run as its journal describes it. Resuming and verifying a run begin from this state.
 
     `clock`, `states`: time and states that were stored with the last acknowledged segment; the run can be resumed from them.
     `open`: the segment during which the process ended; None if the process ended between segments. `earlier_seals`: maps the

@@ -28,9 +28,9 @@ class Statistics:
     """Contains the statistics of one segment, computed in one pass over its samples. The arrays describe k = `len(channels)`
     channels, in the units of the channels.
 
-    `count`: number of samples, without rows that have a NaN in any channel. `rejected`: number of these rows. `mean`, `minimum`,
-    `maximum`: arrays of shape (k,), mean, smallest and largest sample of each channel. `covariance`: array of shape (k, k),
-    covariance of the samples of each pair of channels. `standard_error`: array of shape (k,), standard errors of the means,
+    `count`: number of samples, without rows that have a NaN in any channel. `rejected`: number of rows with a NaN. `mean`,
+    `minimum`, `maximum`: arrays of shape (k,), mean, smallest and largest sample of each channel. `covariance`: array of shape (k,
+    k), covariance of the samples of each pair of channels. `standard_error`: array of shape (k,), standard errors of the means,
     computed from the scatter of `batches` consecutive batch means; noise that is correlated within a batch is therefore taken into
     account. If a known motion changes the output within the segment, a periodic signal (`course`) is fitted to the output;
     `covariance` and `standard_error` then describe the differences from the fitted signal. `start`, `end`: times of the first and
@@ -179,9 +179,9 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """Contains the smallest and the largest value of each channel and of the time steps in a block. `values`: smallest and largest
-    value by channel name; NaN if a sample is missing. `steps`: smallest and largest time step between consecutive rows, s; infinite
-    for a single row, NaN if unknown."""
+    """Contains the smallest and the largest value of each channel and of the time steps in a block. With these, a watcher can skip
+    blocks in which nothing can be wrong. `values`: smallest and largest value by channel name; NaN if a sample is missing. `steps`:
+    smallest and largest time step between consecutive rows, s; infinite for a single row, NaN if unknown."""
 
     values: Mapping[str, tuple[float, float]]
     steps: tuple[float, float]

@@ -100,9 +100,10 @@ CHUNK = 65_536
 SHORT = 128
 """Maximum number of short means in a batch. It is sufficient for 16 short means in each of 256 turns."""
 _ROUNDING = 1e-9
-"""Fraction of the scatter of the batch means. A smaller remainder after the fit of a course is rounding of the computation."""
+"""If the remainder after the fit of a course is smaller than this fraction of the scatter of the batch means, it consists only of
+rounding errors."""
 UNSHARED = 8_192
-"""BLAS uses threads for inner products of more than 10 000 numbers."""
+"""Number of samples in one inner product. For more than 10 000 numbers, BLAS would use threads."""
 AT_REST = Rest()
 LARGEST = 1e100
 """Largest accepted sample. A larger one cannot be a measurement, and its square could overflow."""

@@ -20,7 +20,8 @@ from types import CodeType, FunctionType, MemberDescriptorType
 from typing import TYPE_CHECKING, Any
 
 WRITTEN = ("__init__", "__eq__", "__hash__", "__setattr__", "__delattr__")
-"""Methods that a class may define itself. Such a class is made by the standard library, which adapts the other methods to it."""
+"""If a class defines one of these methods itself, the standard library makes the class, because it adapts the other methods to this
+one."""
 _SPECIAL = ("ClassVar", "InitVar", "KW_ONLY")
 KNOWN = {"frozen", "slots", "eq", "kw_only"}
 

@@ -114,7 +114,7 @@ def _may_fork() -> bool:
 
 
 class _Started(Generic[T, R]):
-    """A process that was started to compute a part of the items. The process ends at the end of its context."""
+    """A further process, which computes a part of the items. As a context manager, it ends the process on exit."""
 
     def __init__(self, method: str, work: Callable[[T], R], share: Sequence[T]):
         from multiprocessing import get_context

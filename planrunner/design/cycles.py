@@ -52,7 +52,7 @@ class Cable:
 
 @dataclass(frozen=True, slots=True)
 class Round:
-    """The extent of one search.
+    """States how many cycles one search tried, and how many of them were suitable.
 
     `moves`: number of moves in each cycle. `tried`: number of cycles that were tried. `balanced`: number of cycles with zero
     residual. `wound`: number of cycles with zero residual that end with wound-up cables. `exhaustive`: True if all possible cycles

@@ -23,7 +23,7 @@ Indices = NDArray[np.intp]
 Progress = Callable[[float], None]
 
 MOST_CHOICES = 1_000_000
-"""Largest number of choices that are all tried."""
+"""If there are at most this many choices, all of them are tried."""
 _CHUNK = 50_000
 _RIDGE = 1e-10  # keeps the others' information matrix invertible while a set is still too small
 

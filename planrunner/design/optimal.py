@@ -29,7 +29,7 @@ CLIMBERS = 24  # places from which the variance is climbed
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A region of settings.
+    """The region in which a search looks for the best settings.
 
     `settings`: array of shape (N, k), candidates spread over the region. `rows`: array of shape (N, p), rows of the design matrix
     at these candidates. `bounds`: lowest and highest value of each of the k numbers, infinite where there is no bound.

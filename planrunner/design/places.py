@@ -42,8 +42,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """The response of one output of an estimate to the attitude of the sensor: the terms of the estimate, and rows of its design
-    matrix at any attitude.
+    """Describes how one output of an estimate responds to the attitude of the sensor: contains the terms of the estimate, and
+    computes the rows of its design matrix at any attitude.
 
     `magnitudes`: array of shape (p,), the magnitudes by which the columns are divided. `fixed`: rows (k, p) of the segments that
     the design leaves unchanged, such as spins, in units of the noise of a segment at rest.

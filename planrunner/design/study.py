@@ -88,9 +88,9 @@ class PositionSet:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """The bounds of the criteria. `merit`: for each criterion, a value that no set with this number of positions can improve on.
-    `certificate`: largest variance of a predicted output for the D-optimal continuous design; it equals the number of terms if the
-    optimum is exact."""
+    """States how good a set of positions can be at best. `merit`: for each criterion, a bound that no set with this number of
+    positions can improve on. `certificate`: largest variance of a predicted output for the D-optimal continuous design; it equals
+    the number of terms if the optimum is exact."""
 
     merit: Merit
     certificate: float
@@ -185,7 +185,7 @@ class FoundCycles:
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """Names the subject of a study.
+    """States which plan a study is about, on which bench and at which site.
 
     `title`: title of the plan. `facts`: names of plan, bench and site. `file`: the plan file. `findings`: the findings of the check
     of the plan.

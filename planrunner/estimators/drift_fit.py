@@ -44,7 +44,7 @@ from planrunner.observation.drift import DriftCourse, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
 
 LEAST_LEFT = 2
-"""Smallest number of degrees of freedom of all outputs together."""
+"""A drift function is adopted only if at least this number of degrees of freedom remains, over all outputs together."""
 SUSPECTED = 2 * SIGNIFICANCE
 """p-value below which a drift is suspected although it is not adopted. With this limit, fewer than one in twenty fits of two
 outputs give a false warning; this number covers all tests of a fit together."""

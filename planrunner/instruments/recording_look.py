@@ -62,10 +62,10 @@ COURSE = 1.0
 """Limit for the change of the mean from one window to the next, divided by the scatter in the window. Above it, the window shows a
 motion. The ratio is 2.4 for a constant slope, and 0.2 for white noise in windows of 50 samples."""
 PAUSE = 2.0
-"""Step of the time [s] from which it counts as a pause between two parts of a recording. The step must also be longer than
+"""A step of the time counts as a pause between two parts of a recording if it is longer than this time [s] and longer than
 `_PERIODS` sample intervals."""
 _PERIODS = 5.0
-"""Number of sample intervals up to which a step of the time is not a pause."""
+"""A step of the time of at most this number of sample intervals is not a pause."""
 _SAME_RATE = 0.02
 _RANGE = 50.0  # scatter in motion over the largest at rest: noise may grow with the orientation
 _LARGE = 0.99  # quantile of a gyro's means that shows its unit: single wrong values do not count

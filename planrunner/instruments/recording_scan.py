@@ -24,8 +24,8 @@ from planrunner.instruments.sample_rates import RowsAtOneRate, SampleRates
 from planrunner.plan.span import ROUNDING, Span
 
 GAP = 1.5
-"""Longest distance between two samples, in sample periods. If the distance is longer, a sample is missing. A segment may also end
-this long after its last sample."""
+"""If two consecutive samples are further apart than this number of sample periods, a sample is missing. A segment may also end this
+long after its last sample."""
 LEAST_ROWS = 100
 """Number of rows from which a channel with a constant value counts as dead."""
 SHOWN = 3
@@ -34,7 +34,7 @@ SHOWN = 3
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """An interval that a plan requires.
+    """An interval of the recording that a plan requires.
 
     `span`: the interval in the table, after trimming. `dwell`: length [s] of the part to be played, None for the whole interval.
     `mark`: line of the interval in the table.

@@ -177,8 +177,8 @@ def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> A
 
 
 def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
-    """Returns the moves with the smallest value. Moves with a slightly larger value are included if the difference is very small.
-    Rounding, or the end of a previous motion, could cause such a difference."""
+    """Returns the moves with the smallest value. Moves whose value is only so little larger that rounding, or the end of a previous
+    motion, could cause the difference are included."""
     most = min(values) * (1 + AS_QUICK) + ALIKE
     return [way for way, value in zip(ways, values, strict=True) if value <= most]
 

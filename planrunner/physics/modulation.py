@@ -50,8 +50,8 @@ def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
 def forced_velocity(
     cycle: RotationCycle, gyro: complex, accelerometer: complex, site: Site, harmonic: int
 ) -> tuple[complex, complex]:
-    """Computes the velocity errors [m/s], as east + i·north, that are forced at plus and at minus `harmonic` times the frequency of
-    the cycle.
+    """Computes the two velocity errors [m/s], as east + i·north, that a harmonic of the cycle forces: one at plus and one at minus
+    `harmonic` times the frequency of the cycle.
 
     `gyro` [rad/s], `accelerometer` [m/s^2]: constant sensor errors, given for the orientation at the first position. A harmonic of
     exp(iθ) with the coefficient c and the rate ω causes the velocity c·(−i·g·gyro + i·ω·accelerometer)/(ω_s² − ω²). Harmonic 0 is

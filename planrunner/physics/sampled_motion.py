@@ -97,7 +97,8 @@ def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequ
 
 
 def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offset: float) -> float:
-    """Returns the angle [rad] of a turning table at its first sample with which the outputs agree best with the expected input.
+    """Returns the angle [rad] of a turning table at its first sample. With this angle, the outputs agree best with the expected
+    input.
 
     `values`: array of shape (n, K) in SI units, outputs after the expected input along the axis of the table has been subtracted.
     `expected`: array of shape (K,), complex, result of `once_per_turn`. `offset`: standard deviation of the constant error of a

@@ -35,7 +35,7 @@ Schema = JsonObject
 
 
 class Kind(Protocol):
-    """The permitted values of a key."""
+    """Reads the value of a key, and describes the values that the key permits."""
 
     def read(self, node: source.Node, log: Findings) -> Any:
         """Reads the value in a node; returns None after adding a finding to `log`."""
@@ -542,8 +542,8 @@ def _meant(
     """Maps each absent key to the unknown keys that may be misspellings of it, and each unknown key to a hint.
 
     An unknown key counts as a misspelling of the absent key that it resembles. An unknown key that resembles no absent key may be a
-    misspelling of any optional key. If the number of such unknown keys is at least the number of missing required keys, it may also
-    be a misspelling of a required key.
+    misspelling of any optional key. If there are at least as many of these unknown keys as there are missing required keys, each of
+    them may also be a misspelling of a required key.
     """
     unknown = {name.text: name.mark for name, _ in node.entries if name.text not in known}
     if not unknown:

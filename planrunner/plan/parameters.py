@@ -119,7 +119,7 @@ def with_parameters(text: str, file: str, given: Mapping[str, Given]) -> Varied:
 
 
 def _written(value: str, *, quoted: bool) -> str:
-    """Returns a value as YAML text. Quotes are omitted if `quoted` is False, and if YAML reads the same text without quotes at any
+    """Returns a value as YAML text. Quotes are omitted only if `quoted` is False and YAML reads the same text without quotes at any
     place in a file."""
     return value if not quoted and _is_plain(value) else json.dumps(value, ensure_ascii=False)
 

@@ -65,7 +65,7 @@ class Position(Protocol):
 
 
 class _Placed:
-    """A part of a text.
+    """Base class for parts of a text that know their position.
 
     `begin`, `end`: the positions at which the part begins and ends; None for a part that was made in code. The attribute `mark` is
     computed only when it is needed, because a plan has hundreds of nodes, of which few appear in findings.

@@ -20,7 +20,7 @@ from planrunner.reporting.words import listed
 SURE = 0.95
 """Probability of pure noise at and above which the page reports no gap."""
 CONSPICUOUS = 0.05
-"""Largest p-value of a deviation that is shown. Noise alone causes such a deviation with at most this probability."""
+"""A deviation is shown if noise alone would cause it with at most this probability (its p-value)."""
 SMALL_REST = 0.05
 """Limit for the unexplained part of a gap, as a fraction of the gap's root mean square. Below it, the effect explains nearly all of
 the gap."""

@@ -143,7 +143,7 @@ def _label(segment: Segment_) -> str:
 
 
 MOST_CHANGED = 2
-"""Maximum number of different keys for which two segments with different labels count as one changed segment."""
+"""Two segments with different labels count as one changed segment if at most this number of their keys differ."""
 
 _NEAR = 20
 """Maximum number of unmatched segments with which a segment is compared."""

@@ -45,7 +45,7 @@ DIGITS = 12
 
 @dataclass(frozen=True, slots=True)
 class StatedValue:
-    """One value in a meaning.
+    """One value in the meaning of a plan or bench.
 
     `content`: the canonical form of the value, for digests. `shown`: the value as the file writes it, for readers. `quantity`: if
     the value is a quantity, the quantity with its unit as written; otherwise None.
@@ -62,7 +62,7 @@ Branch = StatedValue | dict[str, "Branch"] | list["Branch"]
 
 @dataclass(frozen=True, slots=True)
 class Meaning:
-    """The meaning of a file.
+    """The meaning of a plan or bench: everything in its file that affects what is done or measured.
 
     `kind`: `plan` or `bench`. `content`: maps each key to a part of the meaning. `texts`: texts for readers, which are not part of
     the meaning.

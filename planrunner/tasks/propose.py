@@ -47,7 +47,7 @@ _APART = 5.0  # K
 
 @dataclass(frozen=True)
 class MenuEntry:
-    """Contains one line of a plan without its label."""
+    """One option for a segment in a proposed plan: the line that states it in the plan, without its label."""
 
     orientation: str
     dwell: str

@@ -27,7 +27,7 @@ FEWEST = 3
 
 @dataclass(frozen=True)
 class ChannelComparison:
-    """Contains the comparison of one channel, in the unit `unit`.
+    """Compares one channel of the recording with the same channel of the two simulations, in the unit `unit`.
 
     `before`: size of the difference between the recording and the simulation without the effects. `after`: size of the difference
     between the recording and the simulation with the effects. `before` and `after` are root mean squares over the means, slow
@@ -51,8 +51,8 @@ class ChannelComparison:
 
 @dataclass(frozen=True)
 class GapComparison:
-    """Contains the comparison of all channels. `labels`: labels of the segments that the recording and both simulations have in
-    common."""
+    """Compares a recording with two simulations of its plan: one without the effects that a diagnosis found, and one with them.
+    `labels`: labels of the segments that the recording and both simulations have in common."""
 
     labels: tuple[str, ...]
     channels: dict[str, ChannelComparison]

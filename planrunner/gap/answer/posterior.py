@@ -49,15 +49,15 @@ _Key = TypeVar("_Key", str, tuple[str, ...])
 
 @dataclass(frozen=True)
 class Posterior:
-    """Contains the posterior probabilities of the hypotheses. `probability`: probability of every cause. A set of effects has a
-    name such as 'a+b', in alphabetical order, or 'a+b+unknown' if something else acts in addition. An effect on the level of the
-    noise is a cause only if nothing else acts. `noise`: probability of each effect on the level of the noise, summed over all
-    causes. `log_evidence`: log evidence of each hypothesis relative to "none"; for effects, this log evidence is computed from the
-    coefficients alone. `pairs`: evaluated columns of each set of two or more deterministic effects. `sets`: the sets in `pairs`,
-    each with its effects. `kinds`: log evidence, relative to "none", of each pattern that belongs to "unknown". `by_channel`: for
-    each pattern, an array of shape (K,), its log Bayes factor in each channel alone. `levels`: names of the effects that only
-    change the noise level. `lines`: tones in the recording. `beside`: probability that a tone or bursts are present in addition to
-    an effect.
+    """States how probable each hypothesis is, with the evidence behind the probabilities. `probability`: probability of every
+    cause. A set of effects has a name such as 'a+b', in alphabetical order, or 'a+b+unknown' if something else acts in addition. An
+    effect on the level of the noise is a cause only if nothing else acts. `noise`: probability of each effect on the level of the
+    noise, summed over all causes. `log_evidence`: log evidence of each hypothesis relative to "none"; for effects, this log
+    evidence is computed from the coefficients alone. `pairs`: evaluated columns of each set of two or more deterministic effects.
+    `sets`: the sets in `pairs`, each with its effects. `kinds`: log evidence, relative to "none", of each pattern that belongs to
+    "unknown". `by_channel`: for each pattern, an array of shape (K,), its log Bayes factor in each channel alone. `levels`: names
+    of the effects that only change the noise level. `lines`: tones in the recording. `beside`: probability that a tone or bursts
+    are present in addition to an effect.
     """
 
     probability: dict[str, float]
@@ -88,10 +88,10 @@ def without_unknown(name: str) -> str:
 
 @dataclass(frozen=True)
 class _NoiseOnly:
-    """Contains the effects on the noise. `walk`: name of the random walk of the gyros, or ''. `others`: maps each state of the
-    noise of a triad (gyro or accel) to the effect that causes it. `levels`: log density of the measured white noise for each
-    combination of states. `apart`: log Bayes factors of the effects that the recording shows outside the coefficients, such as a
-    line. Each of these effects is present or absent independently of the others.
+    """Contains the evidence for the effects that act only on the noise. `walk`: name of the random walk of the gyros, or ''.
+    `others`: maps each state of the noise of a triad (gyro or accel) to the effect that causes it. `levels`: log density of the
+    measured white noise for each combination of states. `apart`: log Bayes factors of the effects that the recording shows outside
+    the coefficients, such as a line. Each of these effects is present or absent independently of the others.
     """
 
     walk: str

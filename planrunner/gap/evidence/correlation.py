@@ -20,8 +20,8 @@ _LEAST = 1e-3  # least variance of a coefficient, relative to its own, that the 
 
 @dataclass(frozen=True)
 class Blocks:
-    """Contains one matrix for each of S segments. `size`: number of coefficients of each segment. `matrix`: array of shape (S, m,
-    m), padded with the identity."""
+    """Contains one matrix for each of S segments, such as the covariance of the coefficients of the segment. `size`: number of
+    coefficients of each segment. `matrix`: array of shape (S, m, m), padded with the identity."""
 
     size: Sequence[int]
     matrix: Array

@@ -42,8 +42,8 @@ _DEVIATION = 0.6745  # median absolute value of a normal variable
 
 @dataclass(frozen=True)
 class Pulses:
-    """Contains errors of single samples. `rows`: array of shape (p,), rows of the samples. `sizes`: array of shape (p,), errors of
-    these samples."""
+    """Contains the outliers of a segment, which are errors of single samples. `rows`: array of shape (p,), rows of the samples.
+    `sizes`: array of shape (p,), errors of these samples."""
 
     rows: NDArray[np.int64]
     sizes: Array

@@ -22,7 +22,7 @@ _DEPENDENT = 1e-8
 """A direction of the amplitudes is not determined if its singular value, relative to the largest one, is below this limit. The
 columns have unit length."""
 _UNDETERMINED = 1e-6
-"""Largest fraction of an amplitude that may lie in undetermined directions."""
+"""An amplitude counts as determined if at most this fraction of it lies in undetermined directions."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from planrunner.plan.schedule import Segment
 
 @dataclass(frozen=True, slots=True)
 class Moments:
-    """The conditions at some samples.
+    """The conditions at some samples, from which effects compute their changes of the outputs.
 
     `time`: array of shape (n,), middle of each sampling interval, s since the start of the run. `power_on`: time at which the
     sensor was switched on, s, by the same clock. `angle`: array of shape (n,) in rad, rotation of the table since it reached the
