@@ -44,8 +44,8 @@ PATIENCE = 60.0
 """Seconds to wait for another process that is writing an entry."""
 
 LogEvent = Literal["created", "begun", "sealed", "retired"]
-"""What an entry records: the log was created (the first entry), a run began, a run was sealed (possibly again), or a run was
-removed from the archive for a stated reason."""
+"""What an entry records. `created`: the log was created (the first entry). `begun`: a run began. `sealed`: a run was sealed,
+possibly again. `retired`: a run was removed from the archive for a stated reason."""
 
 
 @dataclass(frozen=True, slots=True)

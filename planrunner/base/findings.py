@@ -230,4 +230,5 @@ def _nearest(word: str, names: tuple[str, ...]) -> str | None:
 
 _MOST_NAMES = 25
 _ALIKE = 0.66
-"""Similarity above which a word counts as a misspelling of another: 'mim' and 'min' have 0.67, 'vibration' and 'orientation' 0.60."""
+"""A word counts as a misspelling of another word if their similarity is above this value. 'mim' and 'min' have the similarity 0.67;
+'vibration' and 'orientation' have 0.60."""

@@ -28,7 +28,7 @@ INTERRUPTED = 130
 """Exit code of a command that a signal ended."""
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK")
 AGAIN_AFTER = 0.01
-"""Time after which an interruption is raised again if Python ignored it, s."""
+"""If Python ignored an interruption, it is raised again after this time, s."""
 
 
 class EndedError(KeyboardInterrupt):

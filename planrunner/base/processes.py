@@ -55,8 +55,8 @@ def shared_out(
     `work`: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. `jobs`: number
     of processes including this one; if it is None, the number depends on the processors and on the number of items. `tell`: a
     function that is called in this process after each item that it computes, with the completed fraction (0 to 1) of its own items.
-    If `work` raises an exception, this function raises it as well; if several items fail, it raises the exception of the first of
-    them, in the order of the items. Raises `ProcessEndedError` if another process ends early.
+    If `work` raises an exception, this function raises it as well; if several items fail, it raises the exception of the item that
+    comes first. Raises `ProcessEndedError` if another process ends early.
     """
     tell = tell or _untold
     method = "fork" if _may_fork() else "spawn"

@@ -44,8 +44,8 @@ def results_of(
 
     `work`: a function at the top level of a module, or a `partial` of one, whose argument and result can be pickled. `tell`: a
     function that is called with the completed fraction of all items, 0 to 1. If `work` raises an exception, this function raises it
-    as well; if several items fail, it raises the exception of the first of them, in the order of the items. Raises
-    `ProcessEndedError` if workers end before the work is done, and `ClusterError` if the cluster cannot be used.
+    as well; if several items fail, it raises the exception of the item that comes first. Raises `ProcessEndedError` if workers end
+    before the work is done, and `ClusterError` if the cluster cannot be used.
     """
     if workers.scheduler is None:
         return shared_out(work, items, workers.jobs, tell)

@@ -96,9 +96,9 @@ def _read_charge(line: bytes) -> Charge:
 
 
 def _guard(charge: Charge, lines: queue.SimpleQueue[bytes]) -> str | None:
-    """Waits until planrunner reports that the bench is safe, and returns None; or waits until the watchdog must make it safe, and
-    returns the reason. A missing heartbeat counts only after the first one, because connecting takes time and nothing has moved
-    yet."""
+    """Waits for the end of the run. Returns None when planrunner reports that the bench is safe. Returns the reason when the
+    watchdog must make the bench safe. The absence of a heartbeat counts only after the first heartbeat, because connecting takes
+    time and nothing has moved yet."""
     begun = False
     while True:
         try:

@@ -19,7 +19,7 @@ import numpy as np
 from planrunner.base.arrays import Array
 
 SINGULAR = 1e-9
-"""Ratio of a singular value of the rows to the largest one, below which the singular value counts as zero."""
+"""A singular value of the rows counts as zero if it is below this fraction of the largest singular value."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -230,7 +230,7 @@ def _coarse(recorded: RecordedSegment, channel: str, sensor: SensorModel) -> boo
 
 
 GAP_INTERVALS = 5.5
-"""Number of sample intervals from which a gap is reported; shorter gaps are jitter or single samples."""
+"""A gap is reported if it is longer than this number of sample intervals; shorter gaps are jitter or single samples."""
 NAMED = 3
 
 

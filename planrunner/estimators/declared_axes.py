@@ -17,8 +17,8 @@ from planrunner.base.said import Said, said
 from planrunner.plan.units import DIMENSIONS, Unit, unit
 
 LARGEST_DEVIATION = 0.2
-"""Deviation of a scale factor from one. Data sheets of uncalibrated MEMS sensors state tolerances of the sensitivity of up to 10 or 20
-%."""
+"""A scale factor contradicts its declaration if it deviates from one by more than this value. Data sheets of uncalibrated MEMS
+sensors state tolerances of the sensitivity of up to 10 or 20 %."""
 _UNIT_MATCH = 0.1  # relative: what a scale factor may differ from the ratio of two units
 _UNITS = {
     "angular rate": ("rad/s", "mrad/s", "deg/s", "deg/min", "deg/h", "rev/s", "rev/min"),

@@ -46,13 +46,13 @@ from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
 LEAST_LEFT = 2
 """A drift function is adopted only if at least this number of degrees of freedom remains, over all outputs together."""
 SUSPECTED = 2 * SIGNIFICANCE
-"""p-value below which a drift is suspected although it is not adopted. With this limit, fewer than one in twenty fits of two
-outputs give a false warning; this number covers all tests of a fit together."""
+"""A drift that is not adopted is suspected if its p-value is below this value. With this limit, fewer than one in twenty fits of
+two outputs give a false warning; this number covers all tests of a fit together."""
 FEW = 4
 """If an output has fewer degrees of freedom than this, a drift that changes coefficients can remain unnoticed."""
 DOUBTED = 0.2
-"""p-value of a drift or of the residuals. Below it, the change that the drift would cause is included in the uncertainty, although
-the drift is not adopted. This applies to fits with fewer than `FEW` degrees of freedom."""
+"""In a fit with fewer than `FEW` degrees of freedom, a drift that is not adopted is doubted if its p-value, or the p-value of the
+residuals, is below this value. The change that a doubted drift would cause is included in the uncertainty."""
 _SEPARABLE = 1e-3  # of a course, the part that the terms of the model cannot imitate
 _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of computing
 

@@ -19,7 +19,8 @@ from planrunner.base.dataclass import dataclass
 from planrunner.physics.kinematics import TableAxis
 
 DataOrigin = Literal["measured", "simulated", "replayed"]
-"""Source of the samples of a run: real instruments; instruments of which at least one is simulated; an earlier recording."""
+"""Source of the samples of a run. `measured`: real instruments. `simulated`: instruments of which at least one is simulated.
+`replayed`: an earlier recording."""
 
 Senses = Literal["angular rate", "acceleration"]
 """Quantities that inertial outputs sense. They are also the names of the dimensions of these quantities."""

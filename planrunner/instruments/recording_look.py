@@ -54,13 +54,13 @@ MOST_WINDOWS = 100_000
 AT_LEAST = 2.0
 """Shortest span that counts as rest, s."""
 MOST_G = 1200.0
-"""Greatest length of the mean vector at rest, in mg, for which the vector can be gravity."""
+"""The mean vector at rest can be gravity only if its length is at most this value, in mg."""
 MOST_DEGREES = 400.0
 """Highest plausible temperature, degC."""
 MOVING = 4.0  # times the scatter of the quietest tenth of the windows
 COURSE = 1.0
-"""Limit for the change of the mean from one window to the next, divided by the scatter in the window. Above it, the window shows a
-motion. The ratio is 2.4 for a constant slope, and 0.2 for white noise in windows of 50 samples."""
+"""A window shows a motion if the change of the mean to the next window, divided by the scatter in the window, is above this value.
+The ratio is 2.4 for a constant slope, and 0.2 for white noise in windows of 50 samples."""
 PAUSE = 2.0
 """A step of the time counts as a pause between two parts of a recording if it is longer than this time [s] and longer than
 `_PERIODS` sample intervals."""

@@ -27,7 +27,7 @@ GAP = 1.5
 """If two consecutive samples are further apart than this number of sample periods, a sample is missing. A segment may also end this
 long after its last sample."""
 LEAST_ROWS = 100
-"""Number of rows from which a channel with a constant value counts as dead."""
+"""A channel with a constant value counts as dead if it has at least this number of rows."""
 SHOWN = 3
 """Maximum number of places that a finding names. For the other places, the finding states only their number."""
 

@@ -26,7 +26,7 @@ from planrunner.base.findings import InputError, Mark
 from planrunner.base.guarded_folder import GuardedFolder
 
 SILENT = 5.0
-"""Time without a new state after which the monitor checks whether the run is still locked, s."""
+"""If no new state appears for this time, s, the monitor checks whether the run is still locked."""
 RECENT = 20
 """Maximum number of listed runs that are not in progress."""
 

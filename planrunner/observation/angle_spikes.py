@@ -39,7 +39,8 @@ _SUSPECT = (
     6.0  # mean deviations: a stretch without a larger one, 4.8 standard deviations of white noise, is not examined
 )
 _AGREES, _SHARE = 4.0, 0.02
-"""Largest deviation of a neighbour that counts as undisturbed: in standard deviations, and as a fraction of the spike."""
+"""A neighbour counts as undisturbed if it deviates by at most `_AGREES` standard deviations, or by at most the fraction `_SHARE` of
+the spike."""
 _KINK = np.array([0.0, -0.1, 0.4, -0.6, 0.4, -0.1, 0.0])  # deviations of |t| at t = −3 … 3
 _CLEAR = 3.0  # standard deviations by which a spike fits better than a sudden change of the angular rate
 _COUNTS = 3.0  # counts: a smaller deviation can come from rounding

@@ -15,7 +15,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
 ROUNDING = 1e-3
-"""Largest distance from a boundary, as a fraction of the sample period, at which a time stamp counts as on the boundary. The
+"""A time stamp counts as on a boundary if its distance from the boundary is at most this fraction of the sample period. The
 tolerance allows for rounded boundaries, and for time stamps that were converted from other units to seconds."""
 
 

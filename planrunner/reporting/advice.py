@@ -15,7 +15,7 @@ from planrunner.reporting.words import behind_number
 MOST = 3
 """Maximum number of parameters in a sentence. The table of parameters contains all of them."""
 CLEAR = 2.0
-"""Smallest ratio of a parameter to its standard uncertainty for which the sentence mentions the parameter."""
+"""The sentence mentions a parameter if it is at least this number of times its standard uncertainty."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,16 +18,16 @@ from planrunner.reporting.view import named, stamped, table_view
 from planrunner.reporting.words import listed
 
 SURE = 0.95
-"""Probability of pure noise at and above which the page reports no gap."""
+"""The page reports no gap if the probability of pure noise is at least this value."""
 CONSPICUOUS = 0.05
 """A deviation is shown if noise alone would cause it with at most this probability (its p-value)."""
 SMALL_REST = 0.05
-"""Limit for the unexplained part of a gap, as a fraction of the gap's root mean square. Below it, the effect explains nearly all of
-the gap."""
+"""If the unexplained part of a gap is below this fraction of the gap (root mean square), the effect explains nearly all of the
+gap."""
 WRONG_BY = 2.0
-"""Largest factor by which declared noise may be wrong before the verdict mentions it."""
+"""The verdict mentions noise that differs from its declaration by more than this factor."""
 DEPARTURE = 0.05
-"""Smallest relative difference between the noise and its declaration that is reported."""
+"""A difference between the noise and its declaration is reported if it is at least this fraction of the declaration."""
 MOST_PLACES = 12
 MOST_PARAMETERS = 24
 MOST_POINTS = 24

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Data = Mapping[str, Json]
 
 SHOWN = 0.005
-"""Lowest probability of a hypothesis that is shown separately. The other hypotheses are combined as `others`."""
+"""A hypothesis is shown separately if its probability is at least this value. The other hypotheses are combined as `others`."""
 
 
 MOST_HYPOTHESES = 12

@@ -23,8 +23,8 @@ MOST_PARTS = 5
 """Maximum number of parts of one source that sentences state. The JSON output contains all parts."""
 MOST_PLOTS = 12
 POSSIBLE = 0.2
-"""Probability from which the table of amplitudes mentions a source that the verdict does not name. The JSON output contains all
-sources."""
+"""The table of amplitudes also mentions a source that the verdict does not name, if its probability is at least this value. The
+JSON output contains all sources."""
 PRIORS = (
     "Each source contributes to an amplitude with a prior probability of 1/2, independently of the others. A source is named at a "
     "probability of 0.95 or more, and excluded below 0.05. ± U is the half-width of a 95 % interval."

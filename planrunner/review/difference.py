@@ -24,8 +24,8 @@ KeyPath = tuple[str, ...]
 """The sequence of keys to a part of a meaning, for example `("estimates", "drift", "terms")`."""
 
 Tendency = Literal["loosened", "tightened", "both", ""]
-"""Effect of a change on a limit: more values pass, fewer values pass, or both for different values. Empty if the change does not
-concern a limit."""
+"""Effect of a change on a limit. `loosened`: more values pass. `tightened`: fewer values pass. `both`: some values pass that failed
+before, and some fail that passed before. Empty if the change does not concern a limit."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ factors and three angles."""
 LEAST_POSES, LEAST_RESTS = 2, 4
 """Smallest numbers of poses and of intervals at rest that a diagnosis can compare."""
 STILL = 0.9
-"""Fraction of the time without motion from which a recording counts as a recording at rest."""
+"""A recording counts as a recording at rest if more than this fraction of its time is without motion."""
 
 
 _DOUBTS = {

@@ -113,8 +113,8 @@ def is_suite(file: Path) -> bool:
 
 
 def bench_file(suite: Suite, file: str, name: str) -> str:
-    """Returns the name of the shipped bench, or the path of the bench file, that a suite means by the name of a bench. A name
-    without a folder or an ending means a shipped bench, as in a plan."""
+    """Returns the bench that a suite means by a name: the name of a shipped bench, or the path of a bench file. A bench that is
+    stated without a folder or an ending is a shipped bench, as in a plan."""
     written = suite.benches[name].bench
     return written if re.fullmatch(NAME, written) else str(Path(file).parent / written)
 

@@ -201,7 +201,7 @@ def _without(observed: Observed, stated: Mapping[str, Mapping[str, str]], nomina
 
 
 _CLEARLY = 2.0
-"""Number of standard uncertainties by which a value must exceed its specification."""
+"""A value is outside its specification only if it exceeds the limit by more than this number of standard uncertainties."""
 
 
 def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findings) -> None:

@@ -64,7 +64,7 @@ CLOCK_TOLERANCE = 5.0
 OVERDUE_FACTOR, OVERDUE_PAUSE = 1.5, 1800.0
 """Time limit of a test on a real bench: the planned duration multiplied by `OVERDUE_FACTOR`, plus `OVERDUE_PAUSE` [s]."""
 CONTINUED_WITHIN = 24 * 3600.0
-"""Time after its last event within which an unfinished night can be continued, s."""
+"""An unfinished night can be continued within this time after its last event, s."""
 
 
 class NightClock:

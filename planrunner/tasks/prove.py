@@ -98,8 +98,8 @@ def _change(stored: float, now: float, uncertainty: float) -> float:
 
 
 def _outline(results: Results) -> Json:
-    """Returns the names and verdicts in the results. Names and verdicts must be equal in both results even if the last digits of
-    numbers differ."""
+    """Returns the names and verdicts in the results. In the stored and the recomputed results, names and verdicts must be equal
+    even if the last digits of numbers differ."""
     return [
         [[name, [one.name for one in item.coefficients]] for name, item in results.estimates.items()],
         [[limit.quantity, limit.verdict] for limit in results.limits],

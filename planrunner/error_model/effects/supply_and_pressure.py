@@ -49,8 +49,8 @@ _QUANTITIES = {
     ),
 }
 _VARIED = {Follows.SUPPLY: 0.1, Follows.PRESSURE: 1000.0}
-"""Smallest variation between segments of the supply voltage [V] and of the air pressure [Pa] that counts as intended. A regulated
-supply does not vary so much by itself, and the weather rarely causes such a change during a test."""
+"""A variation of the supply voltage [V] or of the air pressure [Pa] between segments counts as intended if it is larger than this
+value. A regulated supply does not vary so much by itself, and the weather rarely causes such a change during a test."""
 _BIAS = {"gyro": ("deg/s", DEG), "accel": ("ug", 1e-6 * G)}
 """Unit of a bias, and its SI value."""
 _NAMES = {"gyro": "gyro", "accel": "accelerometer"}

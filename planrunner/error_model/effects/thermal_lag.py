@@ -47,8 +47,9 @@ class _BiasTemperatureLagged(Shaped):
         return Variant(tuple(per_axis(observed, self.kind, "c", unit, factor, natural * factor, behind)), value)
 
     def remembered(self, observed: Observed, value: float) -> tuple[TemperatureCourse, ...]:
-        """Replaces the past by two instants that have the same effect on later samples. At the first instant, T and Tₑ have the
-        last value of Tₑ. At the second instant, T changes to its last value, and Tₑ does not change."""
+        """Replaces all earlier temperatures by the temperatures at two instants, which have the same effect on later samples. At
+        the first instant, T and Tₑ have the last value of Tₑ. At the second instant, T changes to its last value, and Tₑ does not
+        change."""
         time, shown, behind = observed.time[-1:], observed.temperature[-1:], lag(observed, value)[-1]
         rate = float(observed.temperature_rate[-1])
         return TemperatureCourse(time, shown + behind, 0.0), TemperatureCourse(time, shown, rate)

@@ -51,8 +51,8 @@ _SCALE = np.array([1 / unit(text).factor for text in _UNITS])
 
 
 def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design:
-    """Checks that the planned poses can determine the nine parameters. The poses are checked only if attitudes or the number of
-    poses are planned. Raises `EstimationError` if the attitudes of the poses or the channels are not suitable."""
+    """Checks that the planned poses can determine the nine parameters. The poses are checked only if the plan states their
+    attitudes or their number. Raises `EstimationError` if the channels or the attitudes are not suitable."""
     outputs, detection = request.parameters.outputs, request.detection
     if detection is not None:
         units = {output.name: output.unit for output in request.sensor.outputs}

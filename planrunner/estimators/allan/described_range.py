@@ -134,9 +134,9 @@ class _Ranges:
 
 
 def distortion(chosen: NoiseFit, fewer: NoiseFit) -> Array:
-    """Returns the change of the squared coefficients beyond chance, shape (4,). For an efficient estimate, the variance of the
-    change by chance is the difference of the two variances (Hausman, 1978). Therefore, δ² = change² − this variance estimates the
-    squared distortion. A negative δ² counts as zero."""
+    """Returns the change δ of the squared coefficients from one fit to the other that chance does not explain, shape (4,). For
+    efficient estimates, chance causes a change whose variance is the difference of the variances of the two fits (Hausman, 1978).
+    Therefore, δ² = change² − this variance. A negative δ² counts as zero."""
     change = fewer.squares - chosen.squares
     by_chance = np.clip(np.diag(fewer.covariance) - np.diag(chosen.covariance), 0.0, None)
     return np.asarray(np.sign(change) * np.sqrt(np.clip(change**2 - by_chance, 0.0, None)))

@@ -207,8 +207,8 @@ SETTLED = 0.95
 true explanation."""
 AIM = 0.97
 FAINT = 0.05
-"""Smallest probability of an effect for which a measurement is proposed, if noise alone or an unknown cause is the most probable
-explanation."""
+"""If noise alone or an unknown cause is the most probable explanation, a measurement is proposed only for effects with at least
+this probability."""
 LONGEST = 12 * 3600.0  # s of test time
 FEWEST = 4
 """Smallest number of segments in a proposal. Fewer segments could be outliers."""

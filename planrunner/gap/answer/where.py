@@ -199,7 +199,7 @@ def _words(attitude: Array) -> str:
 
 
 SEEN = 3.0
-"""Smallest log Bayes factor at which a channel shows the pattern."""
+"""A channel shows the pattern if the log Bayes factor of the pattern in this channel is above this value."""
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,8 @@ def counts(observed: Observed) -> Array:
 
 
 Level = Literal["declared", "white", "resolution"]
-"""Possible states of the noise of a triad: as declared, excess white noise, or as declared but with a coarser count."""
+"""Possible states of the noise of a triad. `declared`: as declared. `white`: more white noise than declared. `resolution`: as
+declared, but with a coarser count."""
 
 
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:

@@ -19,22 +19,21 @@ from planrunner.plan.schedule import Rest, Spin
 from planrunner.plan.units import STANDARD_GRAVITY
 
 INTERVALS = 1.5
-"""Number of sample intervals above which a step of the time is a gap. Shorter steps are jitter."""
+"""A step of the time is a gap if it is longer than this number of sample intervals. Shorter steps are jitter."""
 RATE_TOLERANCE = 0.1
-"""Relative deviation from the declared sample rate above which the clock of a segment counts as wrong."""
+"""The clock of a segment counts as wrong if its sample rate deviates from the declared rate by more than this fraction."""
 MOST_JUMPS = 10
-"""Limit for the number of equally long steps in a segment. Above it, these steps show another sample rate, not lost samples."""
+"""If a segment contains more than this number of equally long steps, these steps show another sample rate, not lost samples."""
 PRESENT = 0.9
-"""Limit for two fractions of a segment. Below it, the recorded fraction of the planned dwell is reported as short, and the fraction
-of usable rows as poor."""
+"""A segment is reported as short if less than this fraction of its planned dwell was recorded. It is reported as poor if less than
+this fraction of its rows is usable."""
 STIRRED = {"gyro": np.radians(1.0), "accel": 0.1 * STANDARD_GRAVITY}
-"""Scatter of a channel's stimulus over the segments [rad/s, m/s²] above which a misfit is visible."""
+"""A misfit is visible only if the stimulus of a channel scatters over the segments by more than this value [rad/s, m/s²]."""
 MISFIT = 0.5
-"""Limit for the misfit of the nominal model. The model does not fit if its residual exceeds this fraction of the planned input, or
-if its matrix differs from the identity by more than this value. Scale factors and misalignments do not explain such a
-difference."""
+"""The nominal model does not fit if its residual exceeds this fraction of the planned input, or if its matrix differs from the
+identity by more than this value. Scale factors and misalignments do not explain such a difference."""
 OTHER_NOISE = 5.0
-"""Ratio of the noise to its declaration, or the inverse ratio, above which the declaration is wrong or the channel is defective."""
+"""If the noise differs from its declaration by more than this factor, the declaration is wrong or the channel is defective."""
 
 PARTS = 20
 """Number of parts of a segment whose mean rates are compared."""
@@ -42,16 +41,17 @@ UNSTEADY = 0.02
 """Smallest relative deviation from a steady rate that is reported. No effect of the catalogue causes such a deviation only at the
 ends of a segment."""
 UNEVEN = 0.1
-"""Scatter of the mean rates, relative to the rate, above which the rate counts as never steady, for example in a turn by hand."""
+"""If the mean rates scatter by more than this fraction of the rate, the rate counts as never steady, for example in a turn by
+hand."""
 FAR = 6.0
-"""Number of standard deviations above which scatter does not explain the deviation of a part's mean."""
+"""If the mean of a part deviates by more than this number of standard deviations, scatter does not explain the deviation."""
 EXCHANGED = 10.0
-"""Ratio of two misfits above which two labels count as exchanged. An exchange of labels cannot compensate an effect of the
-catalogue so well."""
+"""Two labels count as exchanged if exchanging them reduces the misfit at least by this factor. An exchange of labels cannot
+compensate an effect of the catalogue so well."""
 RANK = 1e-9
-"""Singular value, relative to the largest, below which a direction of the stimulus counts as constant."""
+"""The stimulus counts as constant along a direction whose singular value is below this fraction of the largest singular value."""
 SPARE = 3
-"""Number of segments, in addition to the number of parameters, that are necessary to find exchanged labels."""
+"""To find exchanged labels, a recording needs at least this number of segments more than there are parameters."""
 
 POSE_PARAMETERS = 9
 """Number of parameters that the condition |f| = g can determine: three biases, three scale factors and three

@@ -55,7 +55,7 @@ WEAKEST = 4.0
 LARGEST = 10.0
 """Largest σ of a component, relative to the weighted root mean square of the estimates."""
 SURE = 0.95
-"""Probability at and above which a source is named; below 1 − SURE it is excluded."""
+"""A source is named if its probability is at least this value, and excluded if its probability is below 1 − SURE."""
 COVERAGE = 0.95
 _POINTS = (1, 33, 17, 11, 9)  # of the grid of one σ, for 0 to 4 components
 _ROUNDS = 5

@@ -34,7 +34,7 @@ from planrunner.instruments.wire.replies import identification, number, numbers,
 
 HEADER = 8
 QUIET = 0.1
-"""Time without data after which the first reply counts as complete, s."""
+"""The first reply counts as complete if no data arrive for this time, s."""
 
 Header = Callable[[bytes], tuple[int, int]]
 

@@ -30,7 +30,7 @@ SKEW_AFTER = 20.0
 SLEW = 0.01
 """Largest change of the line that time stamps follow, as a fraction of the elapsed time."""
 PATIENCE = 0.5
-"""Duration of the readings after an interruption [s] that show whether the computer slept or frames were lost."""
+"""After an interruption, readings over this time [s] show whether the computer slept or frames were lost."""
 BACKWARDS = 16
 """Number of frames by which a counter may step back if frames arrive out of order; at most an eighth of its range."""
 FORESTALLED = 1.0

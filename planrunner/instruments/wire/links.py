@@ -30,7 +30,7 @@ LONGEST = 4096
 GLANCE = 0.001
 """Time to wait for unread data, s."""
 QUIET = 0.02
-"""Time without a byte after which unread data are assumed to be complete, s."""
+"""Unread data are assumed to be complete if no byte arrives for this time, s."""
 
 MOST_REMARKS = 100
 """Maximum number of remarks kept between queries."""
