@@ -19,8 +19,8 @@ REASON = "the process ended in this segment"
 
 @dataclass(slots=True)
 class ResumePoint:
-    """Contains the state from which an interrupted run continues. `states`: the states of the executor, and of the instruments that
-    can be resumed, which were stored with the last acknowledged segment. `clock`: time at which the states were stored, s.
+    """The state from which an interrupted run continues. `states`: states of the executor and of the instruments that can be
+    resumed, as stored with the last acknowledged segment. `clock`: time at which these states were stored, s.
 
     `instruments`: descriptions that the instruments gave of themselves before the interruption. `files`: maps the name of every
     file recorded so far to its SHA-256, for the seal. `attempts`: how often each segment has been begun.

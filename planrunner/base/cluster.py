@@ -139,8 +139,8 @@ def computed_on_cluster(
 
 
 def _shared(size: int, left: int, threads: int) -> int:
-    """Returns the number of items in the next task. The number is at most `size`. The number is so small that the remaining items
-    give several tasks for each thread of the cluster."""
+    """Returns the number of items in the next task, at most `size`. Near the end the number is smaller, so that the remaining items
+    still give several tasks for each thread of the cluster."""
     return min(size, math.ceil(left / (_SHARES_LEFT * max(1, threads))))
 
 

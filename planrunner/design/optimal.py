@@ -182,8 +182,8 @@ def bound(
 
 def allocate(rows: Array, weighting: Array | None = None, *, fixed: Array | None = None) -> Array:
     """Returns the fractions of the total recording time for given positions, shape (n,); they add up to 1. The variance of an
-    observation is inversely proportional to its time. Every position has at least the fraction `LEAST_SHARE` of the time that it
-    would have if all times were equal. All positions therefore remain in the plan, so that the model can be checked."""
+    observation is inversely proportional to its time. Each fraction is at least `LEAST_SHARE`/n. All positions therefore remain in
+    the plan, so that the model can be checked."""
     return solve(rows, weighting, least=LEAST_SHARE / len(rows), tolerance=1e-9, fixed=fixed).shares
 
 

@@ -70,9 +70,9 @@ _SIGMA = 1e-3  # deg/s or m/s², by default
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect. `natural`: default value, in `unit`. `least`: the permitted values. 'above zero', for example for a time
-    constant or a frequency; 'zero', for zero and larger values, for example for a duration or a standard deviation; 'any', for an
-    amplitude, which may have either sign."""
+    """A parameter of an effect. `natural`: default value, in `unit`. `least`: which values are permitted. 'above zero' permits only
+    positive values, for example of a time constant or a frequency. 'zero' also permits zero, for example for a duration or a
+    standard deviation. 'any' permits both signs, for example of an amplitude."""
 
     name: str
     unit: str

@@ -195,8 +195,8 @@ def _means(
     felt: Stimulus,
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
-    """Returns the means (n,) of an output, derived from its name and unit. The second value is True if the means depend only on
-    declared values."""
+    """Returns the expected means (n,) of an output in the n segments, and True if these means depend only on declared values. The
+    unit of the output shows what it measures."""
     try:
         own = unit(output.unit)
     except UnknownUnitError:

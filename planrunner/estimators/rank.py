@@ -52,8 +52,8 @@ def look(scaled: Array, tolerance: float = TOLERANCE) -> MatrixRank:
 
 
 def combinations(null: Array, names: Sequence[str]) -> tuple[tuple[tuple[str, float], ...], ...]:
-    """Describes the null space by a few short linear combinations of columns, each of which is zero. Columns are given by their
-    names. The combinations are found by Gauss–Jordan elimination.
+    """Describes the null space by a few short linear combinations of columns. Each combination is zero. A combination is a sequence
+    of pairs: the name of a column and its weight. The combinations are found by Gauss–Jordan elimination.
 
     If a combination has only one name, this column is zero.
     """

@@ -293,8 +293,8 @@ def _common(
 
     def answered(moved: Array) -> Array:
         """Returns, except for a constant, the coefficients that the fit would give if the rates were `moved`. The outputs
-        themselves stay the same. A change of their expected values therefore has the same effect on the fit as the opposite change
-        of the outputs."""
+        themselves stay the same. A change of the expected outputs therefore has the same effect on the fit as the opposite change
+        of the recorded outputs."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])

@@ -120,7 +120,7 @@ def table_errors(
 
 
 def _table_slopes(model: LinearModel, poses: tuple[Array, ...], site: Site, table: TableModel | None) -> Array:
-    """Returns the changes of the model's columns per unit of each of r inputs of the table, shape (r, n, p). These inputs are a
+    """Returns how much the model's columns change per unit of each of r errors of the table, shape (r, n, p). These errors are a
     rotation about each site axis; the angle between each pair of neighbouring axes, if the table is at rest and can reach the
     attitudes; the azimuth; and the rate."""
     held = Poses(*poses)
@@ -141,7 +141,7 @@ _table_slopes_of_motion = kept(64)(_table_slopes)
 
 
 def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array | float = 0.0) -> Array:
-    """Returns the changes of the model's columns per unit of each of r inputs, shape (r, n, p).
+    """Returns how much the model's columns change per unit of each of r inputs, shape (r, n, p).
 
     `moves`: array of shape (2, r, n, 3), change of angular rate and specific force per unit of each input. `table_rate`: array of
     shape (r, n), change of the table's rate per unit of each input.
@@ -164,8 +164,8 @@ def _slopes(model: LinearModel, felt: Stimulus, moves: Array, table_rate: Array 
 
 
 def _followed(slopes: Array, coefficients: Array) -> Array:
-    """Returns the changes (m, n, r) of the observations of m outputs per unit of each of r inputs, computed from `slopes` (r, n, p)
-    and `coefficients` (m, p)."""
+    """Returns how much the observations of m outputs change per unit of each of r inputs, shape (m, n, r). `slopes`: array of shape
+    (r, n, p). `coefficients`: array of shape (m, p)."""
     return np.asarray(np.einsum("mp,rnp->mnr", coefficients, slopes))
 
 

@@ -353,8 +353,7 @@ class _Execution:
         return self.doing if self.segment is None else f"segment '{self.segment.label}', {self.activity}"
 
     def _on_tick(self) -> bool:
-        """A clock of real time calls this method while it sleeps. Returns True if the run must stop at once; this ends the
-        sleep."""
+        """A real-time clock calls this method while it sleeps. Returns True if the run must stop at once; this ends the sleep."""
         self.meter.advance(self.clock.now(), self.activity)
         return self.lookout.tick()
 

@@ -21,8 +21,8 @@ OFFSET = 0.1
 limits the error of the angle if the table covers only a small part of a turn."""
 
 FOREIGN = 3.0
-"""If the measured input once per turn is at least this number of times the expected input, it has another cause than the rotation
-of the Earth."""
+"""If the measured input once per turn is at least this many times as large as the expected input, it has another cause than the
+rotation of the Earth."""
 
 
 class AngleFrom(StrEnum):
@@ -102,11 +102,13 @@ def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offs
 
     `values`: array of shape (n, K) in SI units, outputs after the expected input along the axis of the table has been subtracted.
     `expected`: array of shape (K,), complex, result of `once_per_turn`. `offset`: standard deviation of the constant error of a
-    channel, SI, infinite if unknown. The model of channel k is Re(z·eₖ·exp(iφ)) + oₖ, where φ is the angle by which the table has
-    turned since the first sample. The complex factor z is the same for all channels, and its argument is the angle at the first
-    sample. The offset oₖ has the prior N(0, `offset`²). The fit uses weighted least squares. The noise is estimated from the
-    differences between successive samples. If |z| is `FOREIGN` or more, the change once per turn has another cause, and its phase
-    does not show the angle. In this case, and if there are fewer than three samples, the result is 0.
+    channel, SI, infinite if unknown.
+
+    The model of channel k is Re(z·eₖ·exp(iφ)) + oₖ, where φ is the angle by which the table has turned since the first sample. The
+    complex factor z is the same for all channels, and its argument is the angle at the first sample. The offset oₖ has the prior
+    N(0, `offset`²). The fit uses weighted least squares. The noise is estimated from the differences between successive samples. If
+    |z| is `FOREIGN` or more, the change once per turn has another cause, and its phase does not show the angle. In this case, and
+    if there are fewer than three samples, the result is 0.
     """
     if len(since) < 3:
         return 0.0

@@ -1,9 +1,9 @@
 """Makes and checks overrides of a check standard. An override is a signed statement by which a person permits runs to begin on a
 bench although its check standard is not in control.
 
-An override is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. The subject of the statement is the
-SHA-256 digest of the canonical meaning of the bench, without the approvals that the bench requires. Any other change of the bench
-therefore ends an override.
+An override is a DSSE envelope with an in-toto Statement v1 and a predicate of planrunner's own. The statement names the bench by
+the SHA-256 digest of its canonical meaning. The approvals that the bench requires are not part of this digest. If anything else in
+the meaning of the bench changes, the override is no longer valid.
 """
 
 from __future__ import annotations

@@ -17,8 +17,8 @@ _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 1e-3 * G, 1.0)}
 
 _ARCSEC = np.pi / 180 / 3600
 _CROSS = ((1, 2, 1.0), (2, 0, 1.0), (0, 1, 1.0), (2, 1, -1.0), (0, 2, -1.0), (1, 0, -1.0))
-"""The terms of the cross product v × e. A term (i, j, s) means that component j of the result contains s times component i of e
-times the component of v along the third axis."""
+"""The terms (i, j, s) of the cross product v × e. Component j of v × e is the sum of s·eᵢ·vₖ over the two terms with this j, where
+k is the third axis."""
 
 
 def _about(triad: str) -> About:

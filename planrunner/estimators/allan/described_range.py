@@ -27,7 +27,8 @@ _DOUBT = 0.01  # probability of a χ² at least this large, below which the mode
 _BELIEF = 0.2
 """The limit that replaces `_DOUBT` in the search for a range of averaging times. With `_DOUBT` as the limit, the search would stop
 at a range that is still distorted. The value is not derived; it was chosen with two simulated records in which rounding errors are
-carried over to the next sample. In these records, a limit of 0.01 gave errors of N of 1 to 2 standard uncertainties."""
+carried over to the next sample. In these records, with a limit of 0.01, the coefficient N was wrong by 1 to 2 standard
+uncertainties."""
 _NEGATIVE = 4.0  # standard uncertainties by which a square may be negative by chance
 _SPARE = 2  # averaging times more than terms that a range needs
 _WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
@@ -134,9 +135,9 @@ class _Ranges:
 
 
 def distortion(chosen: NoiseFit, fewer: NoiseFit) -> Array:
-    """Returns the change δ of the squared coefficients from one fit to the other that chance does not explain, shape (4,). For
-    efficient estimates, chance causes a change whose variance is the difference of the variances of the two fits (Hausman, 1978).
-    Therefore, δ² = change² − this variance. A negative δ² counts as zero."""
+    """Compares the squared coefficients of two fits. Returns the part δ of their change from `chosen` to `fewer` that chance does
+    not explain, shape (4,). For efficient estimates, chance causes a change whose variance is the difference of the variances of
+    the two fits (Hausman, 1978). Therefore, δ² = change² − this variance. A negative δ² counts as zero."""
     change = fewer.squares - chosen.squares
     by_chance = np.clip(np.diag(fewer.covariance) - np.diag(chosen.covariance), 0.0, None)
     return np.asarray(np.sign(change) * np.sqrt(np.clip(change**2 - by_chance, 0.0, None)))

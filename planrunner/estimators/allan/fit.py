@@ -152,8 +152,8 @@ def _smooth(t: Array) -> Array:
 
 
 def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """Counts the pairs of a difference with the averaging factor `near` and a difference with the averaging factor `far` that are
-    `lag` samples apart. Returns the number of such pairs in all runs."""
+    """Returns the number of pairs of differences, over all runs. In a pair, one difference has the averaging factor `near` and the
+    other has the averaging factor `far`, and the two are `lag` samples apart."""
     total = np.zeros(lag.shape)
     for length, count in zip(lengths, counts, strict=True):
         first, second = length - order * near, length - order * far

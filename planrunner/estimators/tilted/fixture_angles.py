@@ -223,7 +223,7 @@ def _acting(
 
     def answered(matrix: Array) -> Array:
         """Returns the change of the fitted coefficients for a changed design matrix. The outputs themselves stay the same. A change
-        of their expected values therefore has the same effect on the fit as the opposite change of the outputs."""
+        of the expected outputs therefore has the same effect on the fit as the opposite change of the recorded outputs."""
         return np.asarray(-fit.gains[0] @ matrix @ fit.coefficients[0])
 
     stated = stated_conditions(model, request.setup, request.site, axes, k, request.parameters.azimuth)

@@ -106,9 +106,9 @@ def scatter_between_repeats(
 
 
 def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
-    """Returns the variances of the means over the repeats due to the flicker that different repeats have in common, shape (5·m,). A
-    variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, or zero if this mean is negative. fᵣ is the sensitivity of the
-    quantities of repeat r to the means of segments, and C is the covariance of the flicker."""
+    """Flicker makes the results of different repeats correlated. Returns the variances that this correlation adds to the means over
+    the repeats, shape (5·m,). A variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, or zero if this mean is negative.
+    fᵣ is the sensitivity of the quantities of repeat r to the means of segments, and C is the covariance of the flicker."""
     gains, q = answers_to_averages(answers), len(group.spins)
     found = np.zeros(gains.shape[1:])
     for effect in flicker:

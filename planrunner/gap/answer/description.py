@@ -68,8 +68,8 @@ def noise_found(weighing: Weighing, lines: Sequence[Line]) -> tuple[NoiseFound, 
 
 def gap_by_channel(weighing: Weighing) -> dict[str, JsonObject]:
     """Returns, for each channel: the gap, the gap that noise alone would cause, and the unit. The gap is the root mean square of
-    the residuals of the nominal simulation over the samples. Only the part of the residuals that the coefficients represent counts.
-    The gap does not depend on the sampling rate. A constant offset contributes its full size."""
+    the residuals of the nominal simulation over the samples. The part of the residuals that the coefficients do not represent is
+    left out. The gap does not depend on the sampling rate. A constant offset contributes its full size."""
     found = {}
     for index, channel in enumerate(weighing.observed.channels):
         gap, noise = weighing.weights[index][0].gap_and_noise()

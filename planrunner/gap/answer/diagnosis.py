@@ -333,9 +333,9 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
 def _choices(
     weighing: Weighing, found: Posterior, by_id: Mapping[str, Candidate], walks: Set[str], exact: Mapping[str, Forms]
 ) -> list[FoldChoice]:
-    """Returns the choices for the folds of the closure: probable effects and probable sets of effects. Hypotheses that differ only
-    in effects on the noise become one choice. For each choice, the probability that it is the whole cause is the sum over its
-    hypotheses; hypotheses with a random walk or an unknown cause do not count."""
+    """Returns the forms of the probable effects and of the probable sets of effects. For each fold, the closure chooses one of
+    these forms. Hypotheses that differ only in effects on the noise become one choice. For each choice, the probability that it is
+    the whole cause is the sum over its hypotheses; hypotheses with a random walk or an unknown cause do not count."""
     likely: dict[str, float] = {}
     for name, p in found.probability.items():
         parts = name.split("+")

@@ -39,9 +39,9 @@ _VARIOUS = 4.0  # degrees of freedom of the scatter between segments, at least
 _SAME = 1e3  # degrees of freedom from which on the segments count as alike
 _NARROW = 4.0  # degrees of freedom with which the noise near the frequency of a harmonic can be measured
 _STANDING = 0.1
-"""Smallest level of a segment, as a fraction of the median level of all segments. If the level at rest is smaller than this median,
-it is the fraction of the level at rest. A limited or stuck output has little noise or none, but it is not more precise than other
-outputs."""
+"""The level of a segment is at least this fraction of the median level of all segments or, if the level at rest is lower, of the
+level at rest. This limit is necessary because a limited or stuck output has little noise or none, but is not more precise than
+other outputs."""
 _SMALLEST = (
     1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
 )

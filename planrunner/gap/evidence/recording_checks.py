@@ -373,8 +373,8 @@ def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Ma
 
 
 def _long_steps(known: Statistics, rate: float) -> float:
-    """Computes how many samples a segment lacks at the sample rate `rate` [Hz], and returns how many time steps of the longest
-    length found would explain this number."""
+    """Computes how many samples a segment lacks at the sample rate `rate` [Hz]. Returns how many gaps, each as long as the longest
+    gap found, would explain this number."""
     missing = (known.end - known.start) * rate - (known.count - 1)
     return missing / (known.largest_gap * rate - 1)
 

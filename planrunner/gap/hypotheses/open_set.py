@@ -30,7 +30,7 @@ TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
 BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
 MATERIAL = float(np.expm1(2 * HOLDS))
-"""Power of a tone, relative to the variance of the noise, at and above which the tone is not a part of correctly declared noise."""
+"""A tone whose power, relative to the variance of the noise, is at least this value is not a part of correctly declared noise."""
 _TUNINGS = 4  # corrections of the frequency of a fitted tone
 _NEAR = 8  # spacings of a periodogram about its highest frequency, between which finer values are tried
 _BLOCKS = 1024  # of time, over which shifted samples are summed
