@@ -65,8 +65,8 @@ def trusted_within(folder: Path, user: int | None = None) -> None:
 
 
 def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True) -> None:
-    """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. `reachable`: True
-    if other users can reach the entry. Whether others may write to the folder is checked only in this case."""
+    """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. `reachable`:
+    False if other users cannot reach the entry. It is then not checked whether others may write to the entry."""
     if sys.platform == "win32":
         return
     if known.st_uid not in (user, ADMINISTRATOR):

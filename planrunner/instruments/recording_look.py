@@ -333,7 +333,7 @@ class _Clock:
         return None if self._stamp is None or self.backwards else replace(self._stamp, wraps=self._wraps)
 
     def unwrapped(self, times: Array) -> Array:
-        """Corrects times [s] if it was recognised only after the last row that the counter returns to zero. Adds one period of the
+        """Corrects times [s] if the returns of the counter to zero were recognised only after the last row. Adds one period of the
         counter for each return."""
         if self._stamp is None or self._stamp.wraps is not None or self._wraps is None:
             return times

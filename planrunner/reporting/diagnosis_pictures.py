@@ -38,8 +38,8 @@ def ranked(found: Data) -> list[tuple[str, float]]:
 MOST_CHANNELS = 6
 """Maximum number of channels with plots of spectra and means. The channels with the largest gap are chosen."""
 HOTTEST = 100.0
-"""Smallest upper end of the heat map's colour scale, in units of the noise. If the largest value is 1000 or more, the scale ends at
-the largest power of ten that does not exceed this value."""
+"""The colour scale of the heat map ends at this value, in units of the noise. If the largest value in the map is 1000 or more, the
+scale ends at the largest power of ten that does not exceed that value."""
 
 
 def pictures(found: Data) -> list[JsonObject]:

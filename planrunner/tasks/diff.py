@@ -206,8 +206,8 @@ def _facts(one: RunReader, other: RunReader) -> list[Fact]:
 
 
 def _conditions(one: Sequence[Mapping[str, object]], other: Sequence[Mapping[str, object]]) -> list[Fact]:
-    """Returns the measured conditions in which two runs differ. For each kind of reading, they contain the values in the segment
-    with the largest difference. The lost data are included too."""
+    """Returns the measured conditions in which two runs differ. For each kind of reading, the result contains the values in the
+    segment with the largest difference. Different numbers of segments with rejected or truncated data are included too."""
     found = []
     pairs = {str(item["label"]): item for item in other}
     largest: dict[str, tuple[float, str, float, float]] = {}

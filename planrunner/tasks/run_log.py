@@ -120,8 +120,8 @@ def verify_log(
     ring: KeyRing | None = None,
     remembered: Mapping[str, RememberedHead] | None = None,
 ) -> LogVerification:
-    """Verifies a log against its own tree head. If they are given, it is also verified against the runs of the archive and against
-    tree heads that were noted earlier. `remembered`: maps the name of a file to the tree head that was noted in it."""
+    """Verifies a log against its own tree head and, if they are given, against the runs of the archive and against tree heads that
+    were noted earlier. `remembered`: maps the name of a file to the tree head that was noted in it."""
     found = LogVerification(log.path)
     try:
         content = found.content = log.read()

@@ -150,8 +150,9 @@ def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignatu
 def verification(
     found: Examined, signatures: tuple[RunSignature, ...] = (), approvals: tuple[RunApproval, ...] = ()
 ) -> Verification:
-    """Derives the result of the verification of a run from the examination of its folder. An error that is not one of the special
-    kinds of change is reported as an alteration."""
+    """Derives the result of the verification of a run from the examination of its folder. A finding whose code is in `CHANGES`
+    counts as a change of the kind that is stated there. Any other error counts as a change of the kind `altered`. Other findings
+    are remarks, and so is an unknown file in a folder that is not sealed."""
     changes, remarks = [], []
     for finding in found.findings:
         change = CHANGES.get(finding.code, "altered" if finding.severity == "error" else None)
