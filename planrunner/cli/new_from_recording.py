@@ -79,6 +79,7 @@ def _json(look: Look) -> JsonObject:
             for one in look.channels
         ],
         "other_columns": list(look.other),
+        "contents": list(look.contents),
         "still_s": [[span.start, span.end] for span in look.still],
     }
 
@@ -99,6 +100,8 @@ def _print(look: Look) -> None:
         time = f"time in '{look.time.column}' [{unit}]{doubt}"
     seconds = look.rows / look.rate if look.time is None or not len(look.windows.end) else look.windows.end[-1]
     print(f"{look.file}: {look.rows} rows at {look.rate:.6g} Hz, {seconds:.4g} s; {time}")
+    if look.contents:
+        print(*look.contents, sep="\n")
     table = Table("channel", "column", "unit", "scatter at rest" if look.still else "scatter in motion", "guessed from")
     for one in look.channels:
         scale = f"{one.unit}, {one.per_unit:g} counts each" if one.counts else one.unit

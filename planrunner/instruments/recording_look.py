@@ -140,7 +140,8 @@ class Look:
     are not channels. `sparse`: columns that contain less than half as many numbers as the fullest column of a gyro or
     accelerometer. `still`: spans without motion. `backwards`: number of rows whose time does not increase; if there are such rows,
     the time is not used, and rows are counted instead. `pauses`: number of pauses, and the length of the shortest one, s. `motion`:
-    comparison of gyros and accelerometers during turns; None if it gives no clear result."""
+    comparison of gyros and accelerometers during turns; None if it gives no clear result. `contents`: a text for each table of a file
+    with several tables, such as the topics of a ROS bag."""
 
     file: str
     format: Format | None
@@ -155,6 +156,7 @@ class Look:
     backwards: int = 0
     pauses: tuple[int, float] = (0, 0.0)
     motion: TurnComparison | None = None
+    contents: tuple[str, ...] = ()
 
     @property
     def other_rate(self) -> tuple[float, float] | None:
@@ -229,7 +231,11 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
             raise InstrumentError(f"{path.name} holds no samples")
         plain = [column for column in columns if not of_minutes(first[column])]
         written = {} if rate is not None or likely is not None else columns_of_times(whole, plain)
-        time = guessed_time(first, written, stated_rates(path, path.name, given)) if likely is None else likely.time
+        time = (
+            guessed_time(first, written, stated_rates(path, path.name, given), whole.units())
+            if likely is None
+            else likely.time
+        )
         rate = rate if likely is None else None  # the rows of a table of readings cannot be counted
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
@@ -272,7 +278,20 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     other = tuple(one.column for one in guesses if not one.sensed)
     pauses = (len(clock.steps), min(clock.steps, default=0.0))
     return Look(
-        path.name, given, stamp, found, rows, channels, other, sparse, windows, still, clock.backwards, pauses, motion
+        path.name,
+        given,
+        stamp,
+        found,
+        rows,
+        channels,
+        other,
+        sparse,
+        windows,
+        still,
+        clock.backwards,
+        pauses,
+        motion,
+        whole.contents(),
     )
 
 

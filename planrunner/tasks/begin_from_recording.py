@@ -14,6 +14,8 @@ POSES = 9
 factors and three angles."""
 LEAST_POSES, LEAST_RESTS = 2, 4
 """Smallest numbers of poses and of intervals at rest that a diagnosis can compare."""
+MOST_CONTENTS = 20
+"""Maximum number of tables of the file that the bench file lists."""
 STILL = 0.9
 """A recording counts as a recording at rest if more than this fraction of its time is without motion."""
 
@@ -69,6 +71,7 @@ def bench_of(look: Look, name: str) -> str:
         "    driver: recording",
         f"    file: {_quoted(look.file)}",
     ]
+    lines += [f"    # It contains the {one}." for one in look.contents[:MOST_CONTENTS]]
     if look.format is not None:
         stated = [f"type: {look.format.type}", *_stated(look.format.parameters)]
         if look.format.readings is not None:

@@ -28,7 +28,7 @@ from planrunner.base.findings import InputError
 from planrunner.cli import main
 from planrunner.instruments.formats.guessing import guessed_channel
 from planrunner.instruments.recording_look import look_at
-from tests import dataflash_bytes
+from tests import dataflash_bytes, ros_bytes
 
 Array = NDArray[np.float64]
 G = 9.80665
@@ -434,6 +434,34 @@ def ardupilot(name: str, form: Callable[[Iterable[Sequence[object]]], bytes]) ->
     return write
 
 
+def ros_bag(name: str, form: Callable[[Iterable[tuple[int, bytes]]], bytes], message: ros_bytes.Message) -> Write:
+    def write(folder: Path) -> Path:
+        stamps = (1_700_000_000_000_000_000 + (1e9 * TIME).round()).astype(np.int64).tolist()
+        samples = zip(stamps, GYRO.tolist(), ACCEL.tolist(), strict=True)
+        (folder / name).write_bytes(form([(stamp, message(stamp, g, a)) for stamp, g, a in samples]))
+        return folder / name
+
+    return write
+
+
+def ros_folder(folder: Path) -> Path:
+    """A folder of rosbag2. The driver of the IMU does not state times, so all stamps are 0. Another topic has more messages."""
+    bag = folder / "bag"
+    bag.mkdir()
+    times = ((1e9 * TIME).round() + 5e9).astype(np.int64).tolist()
+    samples = zip(times, GYRO.tolist(), ACCEL.tolist(), strict=True)
+    ros_bytes.database(bag / "b.db3", [(time, ros_bytes.imu_in_cdr(0, g, a)) for time, g, a in samples])
+    with sqlite3.connect(bag / "b.db3") as base:
+        base.execute("INSERT INTO topics VALUES (2, '/count', 'std_msgs/msg/UInt8', 'cdr', '')")
+        base.executemany(
+            "INSERT INTO messages(topic_id, timestamp, data) VALUES (2, ?, ?)",
+            [(k, b"\0\1\0\0\7") for k in range(9999)],
+        )
+    base.close()
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {version: 4, relative_file_paths: [b.db3]}\n")
+    return bag
+
+
 CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "vectornav": (vectornav, None, "rad/s", "m/s^2"),
     "sbg": (sbg, "us", "deg/s", "m/s^2"),
@@ -486,6 +514,15 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "tdms with dates": (tdms(waves=False), DATE, "deg/s", "g"),
     "ardupilot": (ardupilot("r.bin", dataflash_bytes.binary), "us", "rad/s", "m/s^2"),
     "ardupilot as text": (ardupilot("r.log", dataflash_bytes.text), "us", "rad/s", "m/s^2"),
+    "ros 1": (ros_bag("r.bag", ros_bytes.bag_of_ros1, ros_bytes.imu_of_ros1), "s", "rad/s", "m/s^2"),
+    "ros 1, being written": (
+        ros_bag("r.bag.active", ros_bytes.bag_of_ros1, ros_bytes.imu_of_ros1),
+        "s",
+        "rad/s",
+        "m/s^2",
+    ),
+    "ros 2": (ros_bag("r.mcap", ros_bytes.mcap, ros_bytes.imu_in_cdr), "s", "rad/s", "m/s^2"),
+    "ros 2 as a folder": (ros_folder, "s", "rad/s", "m/s^2"),
     "json lines": (json_lines, DATE, "rad/s", "m/s^2"),
     "json list": (json_list("r.log"), "ms", "deg/s", "g"),
     "json document": (json_list("r.json", {"device": {"serial": "7", "axes": [1, 2, 3]}}), "ms", "deg/s", "g"),
@@ -511,6 +548,27 @@ def test_time_units_and_axes_are_found(tmp_path: Path, capsys: pytest.CaptureFix
             noise = GYRO_NOISE / IN_RAD[gyro] if one["channel"].startswith("gyro") else ACCEL_NOISE / IN_M[accel]
             assert one["noise"] == pytest.approx(noise, rel=0.2), one["channel"]
     assert main(["check", str(plan), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
+
+
+def test_a_bag_of_ros_is_evaluated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The unit has known biases. The output and the bench file list the topics."""
+    bag, plan = ros_folder(tmp_path), tmp_path / "begun.yaml"
+    assert main(["new", "--from-recording", str(bag), str(plan)]) == 0, capsys.readouterr().err
+    said, bench = capsys.readouterr().out, (tmp_path / "begun.bench.yaml").read_text()
+    for topic in (
+        "/imu: 3240 messages of the type sensor_msgs/msg/Imu",
+        "/count: 9999 messages of the type std_msgs/msg/UInt8",
+    ):
+        assert f"topic {topic}\n" in said and f"# It contains the topic {topic}.\n" in bench
+    assert "time: {column: '/imu.receive_time', unit: s}\n" in bench and "file: bag\n" in bench
+    assert main(["check", str(plan), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
+    capsys.readouterr()
+    assert main(["run", str(plan), "--data", str(tmp_path), "--runs", str(tmp_path / "runs"), "--quiet", "--json"]) == 0
+    (estimate,) = json.loads(capsys.readouterr().out)["estimates"]
+    found = {one["name"]: one for one in estimate["coefficients"]}
+    for axis, truth in zip("xyz", (0.1, -0.05, 0.08), strict=True):
+        bias = found[f"bias_{axis}"]
+        assert abs(bias["value"] - 1000 * truth / G) < 5 * bias["standard_uncertainty"]
 
 
 def test_raw_counts_without_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -594,7 +652,8 @@ def written(content: bytes) -> Write:
         (written(b"\xd0\xcf\x11\xe0" + bytes(200)), "is an old Excel workbook: save it as an Excel workbook (.xlsx)"),
         (written(b"TDSm" + bytes(200)), "is a TDMS file of LabVIEW: rename it with the extension .tdms"),
         (workbook_of_words, "r.xlsx has no sheet with rows of numbers in its first 200 rows"),
-        (written(b"#ROSBAG V2.0\n" + bytes(200)), "is a ROS bag"),
+        (written(b"#ROSBAG V2.0\n" + bytes(200)), "r.log is damaged: a record has an unexpected form"),
+        (written(ros_bytes.bag_of_ros1([])), "r.log contains no messages"),
         (written(b'{"t": 0.0, "gx": 1}\n' * 50), "no column of this recording looks like a time that increases"),
         (written(b"t=0.0 gx=1\n" * 50), "its first line is 't=0.0 gx=1'"),
     ],

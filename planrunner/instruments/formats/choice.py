@@ -9,6 +9,7 @@ from pathlib import Path
 from planrunner.base.documents import JsonObject
 from planrunner.base.findings import Findings, InputError
 from planrunner.instruments.formats.arrays import Hdf5File, MatlabFile, NumpyFile, UlogFile, is_hdf5
+from planrunner.instruments.formats.bag_files import METADATA
 from planrunner.instruments.formats.binary import BinaryFile, BinaryKeys, check_binary
 from planrunner.instruments.formats.database import SqliteFile
 from planrunner.instruments.formats.dataflash import DataflashFile
@@ -17,6 +18,7 @@ from planrunner.instruments.formats.json_samples import JsonFile
 from planrunner.instruments.formats.long import LongFile, ReadingColumns
 from planrunner.instruments.formats.novatel import NovatelFile
 from planrunner.instruments.formats.parquet import ParquetFile
+from planrunner.instruments.formats.rosbag import RosbagFile
 from planrunner.instruments.formats.tdms import TdmsFile
 from planrunner.instruments.formats.text import TextFile
 from planrunner.instruments.formats.workbook import WorkbookFile
@@ -38,6 +40,7 @@ FORMATS: dict[str, type[AnyFile]] = {
     "tdms": TdmsFile,
     "novatel": NovatelFile,
     "dataflash": DataflashFile,
+    "rosbag": RosbagFile,
 }
 ENDINGS = {
     ".csv": "text",
@@ -59,8 +62,18 @@ ENDINGS = {
     ".xlsx": "excel",
     ".xlsm": "excel",
     ".tdms": "tdms",
+    ".bag": "rosbag",
+    ".db3": "rosbag",
+    ".mcap": "rosbag",
 }
 """File formats, by the extension of the file name."""
+
+
+def usual_format(path: Path) -> str | None:
+    """Returns the format that the extension of the file name determines, or that a folder has; None if there is no such format."""
+    if path.is_dir() and (path / METADATA).is_file():
+        return "rosbag"
+    return ENDINGS.get(path.suffix.lower())
 
 
 class Format(Record):
@@ -102,7 +115,7 @@ class FormatChoice:
 def open_file(path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], given: Format | None) -> AnyFile:
     """Opens a file of samples in its format. `given`: format from the bench file; None if the extension of the file name determines
     it. Raises `InstrumentError` if the format is unknown or the file cannot be opened."""
-    kind = ENDINGS.get(path.suffix.lower()) if given is None else given.type
+    kind = usual_format(path) if given is None else given.type
     if kind is None:
         open_samples(path, name).close()  # raises an error that fits, if the path is a folder or does not exist
         endings = ", ".join(ENDINGS)

@@ -149,6 +149,15 @@ class FormatFile(ABC, Generic[Keys]):
     def columns(self) -> list[str]:
         """Returns the names of the columns. Raises `InstrumentError` if the file cannot be read."""
 
+    def examined(self) -> list[str]:
+        """Returns the names of the columns that can be the columns of one recording; by default all. Raises `InstrumentError` if the
+        file cannot be read."""
+        return self.columns()
+
+    def contents(self) -> tuple[str, ...]:
+        """Returns a description of the contents of a file that contains several tables, with one text for each of them."""
+        return ()
+
     def units(self) -> Mapping[str, str]:
         """Returns the units of the columns for which the file states them apart from the name."""
         return {}

@@ -15,13 +15,15 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.instruments.formats import dataflash
-from planrunner.instruments.formats.choice import ENDINGS, FORMATS, Format, open_file
+from planrunner.instruments.formats.bag_files import MCAP_MAGIC, ROS1_MAGIC
+from planrunner.instruments.formats.choice import ENDINGS, FORMATS, Format, open_file, usual_format
 from planrunner.instruments.formats.clock import DAY, NoTimesError
 from planrunner.instruments.formats.file import AnyFile, NoKeys, TimeStamps, open_samples
 from planrunner.instruments.formats.json_samples import JsonFile, JsonKeys
@@ -219,12 +221,13 @@ _REFUSED = (
         "unpack it first, or rename the workbook with the extension .xlsx",
     ),
     ("an old Excel workbook", b"\xd0\xcf\x11\xe0", "save it as an Excel workbook (.xlsx)"),
-    ("a ROS bag", b"#ROSBAG", "write the topic of the IMU as CSV, such as with `rostopic echo -b FILE -p TOPIC`"),
-    ("a bag of ROS 2", b"\x89MCAP", "write the topic of the IMU as CSV"),
     ("a TDMS file of LabVIEW", b"TDSm", "rename it with the extension .tdms"),
     ("a PDF file", b"%PDF", "ask for the numbers as a text file"),
 )
 """Files that are recognised but not read. Each entry states the kind of file, how the file begins, and what the user can do."""
+NO_UNITS: Mapping[str, str] = MappingProxyType({})
+_TOPIC = re.compile(r"^/[^.\s]*\.")
+"""The topic at the start of the name of a column of a ROS bag."""
 _JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\[\s*[{\[]|\{\s*\"|\[[-+.\d\s,eE]*\]\s*\[)")
 """Start of a text in JSON: a list of objects or lists, an object, or lists that follow each other."""
 
@@ -232,7 +235,7 @@ _JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\[\s*[{\[]|\{\s*\"|\[[-+.\d\s,eE]*\
 def guessed_format(path: Path, name: str) -> Format | None:
     """Guesses the format of a file; None if the extension of the file name determines it. Raises `InstrumentError` if no guess can
     be made."""
-    kind = ENDINGS.get(path.suffix.lower())
+    kind = usual_format(path)
     if kind == "excel":
         return _sheet_of_samples(path, name)
     if kind not in (None, "text"):
@@ -244,6 +247,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
             raise InstrumentError(f"{name} is {what}: {advice}")
     if start.startswith(dataflash.BINARY) or re.match(dataflash.TEXT, start):
         return Format(type="dataflash", parameters=dataflash.DataflashKeys())
+    if start.startswith((ROS1_MAGIC, MCAP_MAGIC)):
+        return Format(type="rosbag", parameters=NoKeys())
     if is_raw_imu(start):
         return Format(type="novatel", parameters=NoKeys())
     if _JSON.match(start):
@@ -405,7 +410,7 @@ def columns_of_numbers(file: AnyFile) -> list[str]:
     Raises `InstrumentError` if there is no numeric column."""
     counts: dict[str, int] = {}
     reason = ""
-    known = file.columns()
+    known = file.examined()
     for column in dict.fromkeys(known[:MOST_COLUMNS]):
         if known.count(column) > 1 or not column:
             continue
@@ -426,7 +431,7 @@ def not_numbers(file: AnyFile, numbers: Sequence[str]) -> dict[str, str]:
     """Finds columns that cannot be read, although their names state that they are a time or a channel. Returns the reason for each
     of them. For a column of dates or times of day, the reason names the first wrong time. `numbers`: the columns of numbers, which
     are left out. Raises `InstrumentError` if the file cannot be read."""
-    known = file.columns()[:MOST_COLUMNS]
+    known = file.examined()[:MOST_COLUMNS]
     found: dict[str, str] = {}
     for column in dict.fromkeys(known):
         if column in numbers or known.count(column) > 1:
@@ -448,7 +453,7 @@ def not_numbers(file: AnyFile, numbers: Sequence[str]) -> dict[str, str]:
 def columns_of_times(file: AnyFile, numbers: Sequence[str]) -> dict[str, Array]:
     """Finds the columns that contain dates or times of day as text. Returns each of them with its first times [s]. `numbers`: the
     columns of numbers, which are left out. Raises `InstrumentError` if the file cannot be read."""
-    known = file.columns()[:MOST_COLUMNS]
+    known = file.examined()[:MOST_COLUMNS]
     found: dict[str, Array] = {}
     for column in dict.fromkeys(known):
         if not column or column in numbers or known.count(column) > 1:
@@ -482,7 +487,7 @@ def guessed_readings(file: AnyFile, numbers: Sequence[str]) -> LikelyReadings | 
     cannot be read."""
     if any(guessed_channel(column).sensed in ("gyro", "accel") for column in numbers):
         return None
-    known = file.columns()[:MOST_COLUMNS]
+    known = file.examined()[:MOST_COLUMNS]
     for column in dict.fromkeys(known):
         if not column or column in numbers or known.count(column) > 1:
             continue
@@ -509,7 +514,7 @@ def guessed_readings(file: AnyFile, numbers: Sequence[str]) -> LikelyReadings | 
 
 def with_readings(path: Path, given: Format | None, readings: ReadingColumns) -> Format:
     """Returns the format of a file that is a table of readings. `given`: the format; None if the extension determines it."""
-    kind = ENDINGS[path.suffix.lower()] if given is None else given.type
+    kind = usual_format(path) or "" if given is None else given.type
     parameters = FORMATS[kind].Parameters() if given is None else given.parameters
     return Format(type=kind, readings=readings, parameters=parameters)
 
@@ -527,7 +532,7 @@ def sensors_in_rows(file: AnyFile, numbers: Sequence[str]) -> tuple[str, tuple[s
     empty if there is no such column. Raises `InstrumentError` if the file cannot be read."""
     if not isinstance(file, TextFile):
         return "", ()
-    known = file.columns()[:MOST_COLUMNS]
+    known = file.examined()[:MOST_COLUMNS]
     for column in known:
         if column and column not in numbers and known.count(column) == 1:
             words = file.words(column)
@@ -572,17 +577,20 @@ def stated_rates(path: Path, name: str, given: Format | None) -> tuple[StatedRat
 
 
 def guessed_time(
-    first: Mapping[str, Array], written: Mapping[str, Array], stated: Sequence[StatedRate] = ()
+    first: Mapping[str, Array],
+    written: Mapping[str, Array],
+    stated: Sequence[StatedRate] = (),
+    units: Mapping[str, str] = NO_UNITS,
 ) -> LikelyTime | None:
     """Guesses the column of the time from the first rows; None if no column looks like a time.
 
     The following are tried in turn: columns of numbers that have the name of a time; dates and times of day; columns of numbers
     that increase regularly. If there is no such column, a time that several rows share shows at least the sample rate. `first`: the
     first rows of the columns that contain numbers. `written`: the times [s] of the columns of texts. `stated`: the rates that the
-    file states."""
+    file states. `units`: the units that the file states apart from the names."""
     named = {column: values for column, values in first.items() if _TIME.search(column)}
     for column, values in named.items():
-        time = _number_time(column, values, first, stated)
+        time = _number_time(column, values, first, stated, units.get(column, ""))
         if time is not None:
             return time
     for column, values in written.items():
@@ -592,7 +600,7 @@ def guessed_time(
     for column, values in first.items():
         if column in named or _COUNT.search(column) or guessed_channel(column).sensed:
             continue
-        time = _number_time(column, values, first, stated, regular=True)
+        time = _number_time(column, values, first, stated, units.get(column, ""), regular=True)
         if time is not None and (time.sure or time.wraps is None):
             return time
     for column, values in written.items():
@@ -600,7 +608,7 @@ def guessed_time(
             return replace(_written_time(column, values, 1 / step), shared=True)
     for column, values in named.items():
         if (step := _mean_step(values)) is not None and not of_minutes(values):
-            time = _time_of(column, step, None, stated, values)
+            time = _time_of(column, step, None, stated, values, units.get(column, ""))
             return None if time is None else replace(time, shared=True)
     return None
 
@@ -612,10 +620,16 @@ def _written_time(column: str, values: Array, rate: float) -> LikelyTime:
 
 
 def _number_time(
-    column: str, values: Array, first: Mapping[str, Array], stated: Sequence[StatedRate], *, regular: bool = False
+    column: str,
+    values: Array,
+    first: Mapping[str, Array],
+    stated: Sequence[StatedRate],
+    unit: str,
+    *,
+    regular: bool = False,
 ) -> LikelyTime | None:
-    """Describes the time in a column of numbers; None if the column does not look like a time. `regular`: True if only a column
-    with equal steps counts as a time."""
+    """Describes the time in a column of numbers; None if the column does not look like a time. `unit`: the unit that the file
+    states apart from the name. `regular`: True if only a column with equal steps counts as a time."""
     if len(values) < 3 or not np.all(np.isfinite(values)):
         return None
     steps = np.diff(values)
@@ -627,7 +641,7 @@ def _number_time(
         steps = np.where(steps <= 0, steps + (wraps or 0.0), steps)
         if np.max(np.abs(steps / step - 1)) > 0.5:
             return None
-    return _time_of(column, step, wraps, stated, values)
+    return _time_of(column, step, wraps, stated, values, unit)
 
 
 def of_minutes(values: Array) -> bool:
@@ -695,13 +709,16 @@ _USUAL_RATES = (1.9, 50_000.0)
 
 
 def _time_of(
-    column: str, step: float, wraps: float | None, stated: Sequence[StatedRate], values: Array
+    column: str, step: float, wraps: float | None, stated: Sequence[StatedRate], values: Array, unit: str
 ) -> LikelyTime | None:
     """Describes the time in a column; None if no unit of time leads to a usual sample rate.
 
-    `step`: median step of the column. `values`: first values of the column. If a unit leads to a stated rate, or to a date in this
+    `step`: median step of the column. `values`: first values of the column. `unit`: the unit that the file states apart from the
+    name. If a unit leads to a stated rate, or to a date in this
     century, the unit is sure. A column of whole numbers may also be a counter of unknown frequency. The function assumes such a
     counter if the file states the rate of its samples, and if each unit of time leads to a very different rate."""
+    if unit in _SCALES:
+        return LikelyTime(column, unit, 1 / (step * _SCALES[unit]), None, wraps)
     whole, level = bool(np.all(values == np.round(values))), float(np.median(values))
     rates = {unit: 1 / (step * scale) for unit, scale in _SCALES.items()}
     usual = {unit: rate for unit, rate in rates.items() if _USUAL_RATES[0] < rate < _USUAL_RATES[1]}
@@ -742,7 +759,7 @@ def guessed_channels(columns: Sequence[str], units: Mapping[str, str]) -> list[G
     from_zero = {column[:-3] for column in columns if column.endswith("[0]")}
     found = []
     for column in columns:
-        named = f"{column} [{units[column]}]" if column in units else column
+        named = f"{_TOPIC.sub('', column, count=1)} [{units[column]}]" if column in units else column
         guess = guessed_channel(named, 0 if _MATRIX.sub("", column) in from_zero else 1)
         found.append(replace(guess, column=column))
     return found
