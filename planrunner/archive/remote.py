@@ -252,7 +252,8 @@ def _file(info: Mapping[str, object]) -> _RemoteFile:
 
 
 def _changed(info: Mapping[str, object]) -> int | None:
-    """Returns the time when an object was last changed. Each implementation of fsspec has its own name for this attribute."""
+    """Returns the time when an object was last changed, in ns since 1970; None if the file system does not state it. Each
+    implementation of fsspec has its own name for this attribute."""
     for key in ("LastModified", "last_modified", "mtime", "modified", "updated", "created"):
         value = info.get(key)
         if isinstance(value, str):

@@ -306,7 +306,8 @@ class _Gathered:
         )
 
     def _course(self) -> MotionCourse | None:
-        """Returns the periodic signal that the motion causes, determined from averages over a few samples."""
+        """Returns the periodic signal that the motion causes, determined from averages over a few samples; None if the motion
+        causes none or there are too few samples."""
         if not self.follows or self.count < 3:
             return None
         interval = (self.end - self.start - self.gap) / max(self.count - 2, 1)

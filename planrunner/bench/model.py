@@ -399,7 +399,7 @@ def bench_of(data: bytes, shown: str) -> Bench:
 
 
 def parse_bench(root: source.Mapping) -> tuple[Bench | None, Findings]:
-    """Reads the bench in a document as far as possible; returns the bench and the findings about it."""
+    """Reads the bench in a document as far as possible; returns the bench (None if it cannot be read) and the findings about it."""
     log = Findings()
     if root.get("planrunner_bench") is None and root.get("planrunner") is not None:
         log.error(

@@ -265,7 +265,8 @@ class _Planner:
         return None
 
     def _turns(self, item: StatedSegment, dwell: Turns) -> float | None:
-        """Returns the duration [s] of a dwell that is stated in whole turns of a spin or in whole cycles of turns and stops."""
+        """Returns the duration [s] of a dwell that is stated in whole turns of a spin or in whole cycles of turns and stops; None
+        if the dwell or the motion has an error."""
         if (dwell.turns is None) == (dwell.cycles is None):
             message = f"the dwell of '{item.label}' has {'both turns and cycles' if dwell.turns else 'neither turns nor cycles'}"
             self._once("meaning-turns", item.marks["dwell"], message, "write for example `dwell: {turns: 1}`")

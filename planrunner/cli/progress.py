@@ -70,7 +70,7 @@ def _drawn(*, transient: bool) -> Iterator[tuple[ProgressCallback, Progress]]:
 @contextmanager
 def reading_progress(quiet: bool = False) -> Iterator[Announce | None]:
     """Yields a callback for the progress of reading recorded samples. Nothing is shown before its first call, and a bar disappears
-    at the end."""
+    at the end. `quiet`: True to show nothing; the callback is then None."""
     if quiet:
         yield None
         return

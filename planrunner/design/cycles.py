@@ -150,8 +150,8 @@ def _ways(turn: float, most: float) -> list[float]:
 
 
 def _best_of(turns: Array, planned: RotationCycle, cable: Cable) -> tuple[RotationCycle | None, Round]:
-    """Returns the best of m cycles, whose stops have equal durations, and the extent of this search. `turns`: array of shape (m,
-    n), the n turns of each cycle."""
+    """Returns the best of m cycles whose stops have equal durations (None if no cycle is suitable), and the extent of this search.
+    `turns`: array of shape (m, n), the n turns of each cycle."""
     ends = np.cumsum(turns, axis=1)
     begins = ends - turns
     left = np.zeros(len(turns), dtype=complex)
@@ -218,7 +218,8 @@ def _home(angles: Sequence[float]) -> int:
 def _best_after(
     angles: Sequence[float], visits: int, planned: RotationCycle, cable: Cable, near: bool, first: int
 ) -> tuple[RotationCycle | None, Round]:
-    """Returns the best of the cycles that begin with the step number `first` from the home position."""
+    """Returns the best of the cycles that begin with the step number `first` from the home position (None if no such cycle is
+    suitable), and the extent of this search."""
     return _Search(angles, visits, planned, cable, near, first).run()
 
 
@@ -322,7 +323,8 @@ def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
 
 
 def _better(first: RotationCycle | None, second: RotationCycle | None) -> RotationCycle | None:
-    """Returns the better of two cycles with zero residual. If both are equally good, returns the first."""
+    """Returns the better of two cycles with zero residual. If both are equally good, returns the first. None stands for no
+    cycle."""
     if first is None or second is None:
         return first or second
     return second if _merit(second) < _merit(first) else first

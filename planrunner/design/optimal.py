@@ -199,6 +199,6 @@ def with_slopes(rows_of: RowsOf, settings: Array) -> tuple[Array, Array]:
 
 
 def boxed(over: Region, count: int) -> list[tuple[float | None, float | None]]:
-    """Returns the bounds of `count` settings in sequence, as scipy expects them."""
+    """Returns the bounds of `count` settings in sequence, as scipy expects them: None where there is no bound."""
     own = [(None if math.isinf(low) else low, None if math.isinf(high) else high) for low, high in over.bounds]
     return own * count

@@ -107,7 +107,7 @@ def planned_samples(request: DesignRequest[object], segment: Segment) -> int:
 
 
 def unlike_outputs(fit: OutputsFit) -> Said | None:
-    """Returns a warning if the variance factors of the outputs differ too much to be pooled."""
+    """Returns a warning if the variance factors of the outputs differ too much to be pooled; otherwise None."""
     from scipy.special import fdtrc
 
     factors = np.array([one.variance_factor for one in fit.fits])

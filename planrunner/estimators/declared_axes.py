@@ -139,7 +139,7 @@ def _left_handed(rows: Sequence[AxisResponse]) -> bool:
 
 
 def _size(row: AxisResponse) -> Said | None:
-    """Returns a warning if a scale factor is far from one."""
+    """Returns a warning if a scale factor is far from one; otherwise None."""
     size = math.hypot(*row.ratios.values())
     if abs(size - 1) <= LARGEST_DEVIATION:
         return None

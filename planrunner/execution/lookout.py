@@ -116,7 +116,7 @@ class Lookout:
                 self._notice(name, text)
 
     def tick(self) -> bool:
-        """A clock of real time calls this method while it sleeps, even within a driver. Returns True if the sleep must end."""
+        """A real-time clock calls this method while it sleeps, even within a driver. Returns True if the sleep must end."""
         try:
             self._sign_of_life()
         except InstrumentError as error:

@@ -108,7 +108,8 @@ class Meter:
             self._tell(SegmentFinished(segment.index, segment.label, self._segments, *self._pace(self._behind)))
 
     def _pace(self, behind: float) -> tuple[float, float | None]:
-        """Returns the completed fraction of the planned time, and the expected remaining time [s]."""
+        """Returns the completed fraction of the planned time, and the expected remaining time [s]; None instead of this time if
+        nothing has been completed yet."""
         total = float(self._segments) if self._by_count else self._total
         fraction = min(1.0, behind / total) if total else 1.0
         done = behind - self._first

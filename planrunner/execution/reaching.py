@@ -74,10 +74,10 @@ class Reaching:
         self.mode_since: float | None = None
         """Time of the mode command on the bench's clock, s; None after an interruption."""
         self.soak_again = True
-        """False at the start and after an interruption, because it is then unknown how long the sensor has been at its
-        temperature."""
+        """True if the next segment needs its soak even if the setpoint does not change. This is the case at the start and after an
+        interruption, because it is then unknown how long the sensor has been at its temperature."""
         self.moving_perhaps = False
-        """False after an interruption, because the table may then be moving."""
+        """True after an interruption, because the table may then be moving and must be stopped before the next move."""
 
     def forget(self) -> None:
         """Forgets the last commands, because the bench was made safe."""
@@ -445,8 +445,8 @@ class Holding:
             raise LimitPassedError("; ".join(passed))
 
     def finish(self) -> FrameCounts | None:
-        """Returns the frame counts of the sensor, after a last check that finds failures up to the end of the dwell. Raises the
-        errors of `check`, and `LimitPassedError` if too many frames are lost or corrupt."""
+        """Returns the frame counts of the sensor (None if it does not count frames), after a last check that finds failures up to
+        the end of the dwell. Raises the errors of `check`, and `LimitPassedError` if too many frames are lost or corrupt."""
         self.check(fresh=True)
         counts = self.counts()
         passed = [] if counts is None else frames_outside(self._watch, counts)

@@ -146,7 +146,7 @@ class NightRecord:
         return {state: number for state, number in found.items() if number}
 
     def time(self, instant: float | None) -> str | None:
-        """Converts an instant to local time with offset, as ISO 8601 text."""
+        """Converts an instant to local time with offset, as ISO 8601 text. None stays None."""
         return None if instant is None else civil(instant, self.zone).isoformat(timespec="seconds")
 
     def to_json(self) -> JsonObject:

@@ -384,6 +384,6 @@ SECTIONS: tuple[tuple[str, str, type[Record]], ...] = (
 
 
 def read_suite(root: source.Mapping, log: Findings) -> Suite | None:
-    """Reads the suite in a document as far as possible; adds findings to `log`."""
+    """Reads the suite in a document as far as possible; adds findings to `log`. Returns None if the suite cannot be read."""
     suite: Suite | None = RecordOf(Suite).read(root, log)
     return suite

@@ -209,7 +209,7 @@ class NightCourse:
 
     def abandon(self, test: int) -> EndOfTest | None:
         """Records that a waiting test will not run. If the test waited for a repetition, returns how its last attempt ended; this
-        is then the result of the test."""
+        is then the result of the test. Otherwise returns None."""
         self._withdraw(test)
         state = self._tests[test]
         state.state, state.ending = "not run" if state.failed is None else "ended", state.failed
@@ -335,7 +335,8 @@ class NightCourse:
         return within and self.hours.begins <= now < self.hours.closes
 
     def _first(self, bench: _Bench, busy: Collection[str], now: float) -> int | None:
-        """Returns the first ready test of a bench that could begin now: its device is free, and it would end within the hours."""
+        """Returns the first ready test of a bench that could begin now; None if there is none. Such a test has a free device and
+        would end within the hours."""
         found: int | None = None
         looked_at: list[int] = []
         too_long: set[tuple[bool, float | None]] = set()

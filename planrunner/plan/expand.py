@@ -117,7 +117,8 @@ def _one_motion(own: State, log: Findings) -> bool:
 
 
 def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
-    """Checks that no key is swept and also set to a single value, and that rate and motion are not both swept."""
+    """Returns True if no key is swept and also set to a single value, and if rate and motion are not both swept. Otherwise adds a
+    finding."""
     swept = {axis.key: axis for axis in spec.for_each.axes} if spec.for_each else {}
     for name in swept:
         twin = STATE_TRAITS[name].replaces or name

@@ -353,8 +353,8 @@ class Plan(Record):
 
 
 def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan | None, Findings]:
-    """Reads the plan in a document as far as possible; returns the plan and its findings. If `log` is given, the findings are also
-    added to it.
+    """Reads the plan in a document as far as possible; returns the plan (None if it cannot be read) and its findings. If `log` is
+    given, the findings are also added to it.
 
     A part with an error is omitted, so that all other parts can still be checked. A segment with an error is not omitted, but
     marked as not sound.
@@ -371,8 +371,8 @@ def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan |
 
 
 def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
-    """Reads the plan in `text`. Returns the plan and all its findings. No text makes this function raise an exception. `shown`: the
-    file name that the findings state."""
+    """Reads the plan in `text`. Returns the plan (None if it cannot be read) and all its findings. No text makes this function
+    raise an exception. `shown`: the file name that the findings state."""
     log = Findings()
     try:
         root = source.parse(text, shown, log)

@@ -37,7 +37,7 @@ class Orientation:
 
     @property
     def attitude(self) -> Matrix | None:
-        """Returns the matrix as an array, which is read-only because segments share it."""
+        """Returns the matrix as an array, which is read-only because segments share it; None for an unknown orientation."""
         return None if self.matrix is None else _array(self.matrix)
 
 

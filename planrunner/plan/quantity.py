@@ -381,8 +381,8 @@ def _read_rich(node: Mapping, dimension: str | None, log: Findings) -> Quantity 
 def _width(
     node: Mapping, dimension: str | None, misspelt: Iterable[Mark], log: Findings
 ) -> tuple[Quantity | None, str]:
-    """Returns the stated standard uncertainty or half-width of a quantity, and its distribution. `misspelt`: positions of unknown
-    keys, one of which may be a misspelling of the missing key `half_width`."""
+    """Returns the stated standard uncertainty or half-width of a quantity (None if neither is stated), and its distribution.
+    `misspelt`: positions of unknown keys, one of which may be a misspelling of the missing key `half_width`."""
     standard, half, shape = node.get("standard_uncertainty"), node.get("half_width"), node.get("distribution")
     name = "rectangular"
     if shape is not None:

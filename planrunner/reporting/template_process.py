@@ -83,8 +83,8 @@ def _watch(name: str, seconds: float) -> None:
 
 
 def _place(frame: FrameType | None) -> str | None:
-    """Returns the position, as `template:line`, in the innermost template in the call stack of a frame. The position is found in
-    the same way as in jinja2.debug."""
+    """Returns the position, as `template:line`, in the innermost template in the call stack of a frame; None if no template is in
+    the call stack. The position is found in the same way as in jinja2.debug."""
     while frame is not None:
         template = frame.f_globals.get("__jinja_template__")
         if template is not None:

@@ -63,7 +63,7 @@ class CheckedSuite:
 
     @property
     def durations(self) -> tuple[float | None, ...]:
-        """Returns the planned duration of each test, s."""
+        """Returns the planned duration of each test, s; None if the length of a recording determines it."""
         return tuple(self.plans[test.measurement].seconds for test in self.tests)
 
     def sound(self) -> SoundSuite:

@@ -270,8 +270,8 @@ def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptio
 
 
 def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | None:
-    """Proposes what to measure next after a recording with planned orientations. If no plan can be proposed, a finding in the log
-    reports this, and the diagnosis stays valid."""
+    """Proposes what to measure next after a recording with planned orientations. Returns None for other recordings, and if there is
+    nothing to propose. If no plan can express the proposal, a finding in the log reports this, and the diagnosis stays valid."""
     from planrunner.tasks.propose import DEFAULT_SOAK, Frame, propose_next
 
     segments = tuple(map(_lasting, _chosen(recorded)))

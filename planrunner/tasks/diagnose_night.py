@@ -26,9 +26,9 @@ LEAST = 4
 def diagnose_night(
     archive: Path, runs: Sequence[str], asked: NightDiagnosis, workers: Workers | None = None
 ) -> Iterator[tuple[JsonObject | None, str]]:
-    """Yields, for each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json) and a remark. The remark states why
-    there is no diagnosis, or which runs the diagnosis omits. The last remarks name the runs of the night without a device, and the
-    damaged runs in the archive.
+    """Yields, for each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and a remark that states how many
+    runs the diagnosis omits, empty if it omits none. If there is no diagnosis, the record is None and the remark gives the reason.
+    The last remarks, without a record, name the runs of the night without a device, and the damaged runs in the archive.
 
     `runs`: names of the run folders that the night made. Raises `InputError` if the index cannot be used.
     """

@@ -193,7 +193,7 @@ def _windows(recorded: Sequence[RecordedSegment], parameters: RockingDriftParame
 
 
 def _encoders(request: EstimateRequest[RockingDriftParameters]) -> tuple[bool, Said | None]:
-    """Returns True if ring and gimbal angles can be used; otherwise False and a warning with the reason."""
+    """Returns two values: True if ring and gimbal angles can be used, and a warning with the reason if they cannot."""
     parameters = request.parameters
     names = (*parameters.rings, *parameters.gimbals)
     missing = [name for name in names if any(name not in item.units for item in request.segments)]

@@ -119,7 +119,7 @@ class Modelled:
     @property
     def widest(self) -> tuple[float, float, float, float] | None:
         """Returns the largest difference between the directions, its standard uncertainty, its degrees of freedom, and the
-        temperature [degC] at which it occurs."""
+        temperature [degC] at which it occurs; None if only one direction of temperature is recorded."""
         loop = None if self.difference is None else self.loop(np.linspace(*self.ends, _DRAWN))
         if loop is None:
             return None
@@ -358,8 +358,9 @@ def _hidden(points: Points, values: OverTemperature, fit: CurveFit) -> HiddenDri
 
 
 def _difference(points: Points, parameters: TemperatureModelParameters, highest: int) -> Difference | None:
-    """Returns the form of the difference between the directions (the hysteresis loop). The number of its coefficients is limited so
-    that at least two residuals remain after a curve of order `highest` and the ramps have been fitted as well."""
+    """Returns the form of the difference between the directions (the hysteresis loop); None if too few temperatures were reached in
+    both directions. The number of its coefficients is limited so that at least two residuals remain after a curve of order
+    `highest` and the ramps have been fitted as well."""
     ramps = len(np.unique(points.ramp[points.ramp >= 0]))
     left = len(points.value) - (highest + 1) - max(0, ramps - 2) - _RESIDUALS
     width = parameters.bin.value

@@ -44,7 +44,8 @@ def mean_rates(segments: Sequence[Segment], site: Site, durations: Sequence[floa
 
 
 def recorded_seconds(recorded: RecordedSegment) -> float | None:
-    """Returns the duration [s] over which the mean of a segment is taken. Each sample represents one sample interval."""
+    """Returns the duration [s] over which the mean of a segment is taken. Each sample represents one sample interval. With fewer
+    than two samples, returns the planned dwell, which is None if it is not known."""
     return recorded.statistics.duration if recorded.statistics.count > 1 else recorded.segment.dwell
 
 

@@ -165,8 +165,9 @@ def _stuck(observed: Observed, index: int) -> bool:
 
 
 def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
-    """Returns the axis, sign and factor of a channel that agree with its measured gain (r,) along the directions (r, 3) of the plan.
-    The declared axis, sign and factor are kept if they fit within the usual scale factors and misalignments."""
+    """Returns the axis, sign and factor of a channel that agree with its measured gain (r,) along the directions (r, 3) of the
+    plan; None if no axis agrees. The declared axis, sign and factor are kept if they fit within the usual scale factors and
+    misalignments."""
     if float(np.linalg.norm(gain - seen[:, own])) <= MISFIT * float(np.linalg.norm(seen[:, own])):
         known = _factor(gain, seen[:, own], kind)
         if known == 1.0 or known is None:

@@ -242,7 +242,8 @@ def check_axes(group: Gyros | Accelerometers, log: Findings) -> None:
 
 
 def _problem(name: str, axis: InputAxisDirection) -> tuple[str, str] | None:
-    """Describes the fault in the direction of an axis. Also returns a hint that states how to correct the direction."""
+    """Returns the fault in the direction of an axis, and a hint that states how to correct the direction; None if there is no
+    fault."""
     if (axis.angle is None) != (axis.azimuth is None):
         given, missing = ("azimuth", "angle") if axis.angle is None else ("angle", "azimuth")
         return f"has an {given} but no {missing}", f"add for example `{missing}: 0 deg`"
