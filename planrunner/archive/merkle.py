@@ -63,7 +63,7 @@ def root_of(levels: Sequence[Hashes], size: int) -> bytes:
 
 def inclusion_path(index: int, leaves: Hashes) -> list[bytes]:
     """Returns the inclusion proof PATH(index, leaves): the hashes that lead from a leaf to the root (RFC 9162, 2.1.3.1). The index
-    counts from 0."""
+    counts from 0. Raises `ProofError` if there is no such leaf."""
     if not 0 <= index < len(leaves):
         raise ProofError(f"the tree has no leaf {index}")
     n = len(leaves)
@@ -77,7 +77,7 @@ def inclusion_path(index: int, leaves: Hashes) -> list[bytes]:
 
 def consistency_proof(size: int, leaves: Hashes) -> list[bytes]:
     """Returns the consistency proof PROOF(size, leaves), which shows that the tree of the first `size` leaves is a part of the tree
-    of all leaves (RFC 9162, 2.1.4.1). The proof is empty for size 0."""
+    of all leaves (RFC 9162, 2.1.4.1). The proof is empty for size 0. Raises `ProofError` if there are fewer leaves."""
     if not 0 <= size <= len(leaves):
         raise ProofError(f"the tree has fewer than {size} leaves")
     return _subproof(size, leaves, whole=True) if 0 < size < len(leaves) else []

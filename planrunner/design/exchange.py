@@ -136,7 +136,8 @@ def exchange(
     progress: Progress | None = None,
 ) -> list[Chosen]:
     """Returns the sets found by exchange from `restarts` random sets, the best first. The same seed gives the same sets. `repeats`:
-    True if a set may contain a candidate more than once."""
+    True if a set may contain a candidate more than once. Raises ValueError if there are too few candidates for a set without
+    repeats."""
     if not repeats and count > len(rows):
         raise ValueError(f"{count} different positions cannot be chosen from {len(rows)}")
     random = np.random.default_rng(seed)

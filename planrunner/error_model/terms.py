@@ -148,7 +148,8 @@ class ErrorModel:
 
     def predict(self, coefficients: Mapping[str, float] | Array, stimulus: Stimulus) -> Array:
         """Returns the output, shape (n,), for given coefficients. The coefficients are an array of shape (p,), or a mapping from
-        names to values, in which coefficients that are not named are zero."""
+        names to values, in which coefficients that are not named are zero. Raises KeyError for the name of a term that the model
+        does not have."""
         if isinstance(coefficients, Mapping):
             unknown = set(coefficients) - set(self.names)
             if unknown:

@@ -55,7 +55,8 @@ class StampAuthority:
 
 
 def parse_authority(pem: bytes, revocations: bytes = b"") -> StampAuthority:
-    """Reads certificates in PEM, and lists of revoked certificates (RFC 5280) in PEM or DER."""
+    """Reads certificates in PEM, and lists of revoked certificates (RFC 5280) in PEM or DER. Raises ValueError for other data, and
+    for a list that none of the certificates has signed."""
     try:
         found = tuple(x509.load_pem_x509_certificates(pem))
     except ValueError:

@@ -125,7 +125,7 @@ class SensorFeed:
         return taken
 
     def set_mode(self, mode: str) -> None:
-        """Switches the sensor to one of its modes."""
+        """Switches the sensor to one of its modes. Raises `InstrumentError` if the sensor has no modes."""
         if not isinstance(self.sensor, HasModes):
             raise InstrumentError(f"the virtual sensor '{type(self.sensor).__name__}' has no modes")
         self.live.before_change()

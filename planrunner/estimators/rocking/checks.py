@@ -222,7 +222,8 @@ def count_seconds(
     request: DesignRequest[RockingDriftParameters], parameters: RockingDriftParameters
 ) -> tuple[str, float, float] | None:
     """Finds the accelerometer with the largest count. Returns its name, the size of the count [m/s^2], and the time [s] in which
-    the smallest drift of interest changes its reading by one count. Returns None if no accelerometer has a stated count."""
+    the smallest drift of interest changes its reading by one count. Returns None if no accelerometer has a stated count. Raises
+    `EstimationError` if the sensor lacks an accelerometer."""
     coarsest: tuple[str, float, float] | None = None
     for name in parameters.accelerometers:
         output = request.sensor.output(name)

@@ -77,7 +77,8 @@ def scatter_between_repeats(
     """Returns the type A uncertainty from the scatter of the repeats. The variance of a quantity is pooled over the temperatures.
     It is not pooled if Bartlett's test finds that the variance differs between them. The correlations between quantities come from
     the repeats of all temperatures. A part of the declared flicker is common to all repeats. The scatter of the repeats cannot show
-    this part, so it is added. `answers`: sensitivities of each group, from `answers_of`."""
+    this part, so it is added. `answers`: sensitivities of each group, from `answers_of`. Raises `EstimationError` if the rates are
+    not repeated at a temperature."""
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(

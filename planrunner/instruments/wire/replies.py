@@ -29,7 +29,8 @@ def number(link: MessageLink, request: str, framing: AnswerFraming | None = None
 
 
 def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
-    """Returns the first `count` numbers in a reply."""
+    """Returns the first `count` numbers in a reply. Raises `InstrumentError` if there are fewer numbers, or if one is not
+    finite."""
     parts = [part.strip() for part in re.split(r"[,;]", reply)[:count]]
     found = [float(part) for part in parts if NUMBER.fullmatch(part)]
     if len(found) < count or not all(map(math.isfinite, found)):
