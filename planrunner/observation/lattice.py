@@ -42,14 +42,14 @@ def holds(levels: Array) -> bool:
     return float(np.abs(levels - np.round(levels)).max(initial=0.0)) <= 2 * OFF_LATTICE
 
 
-def undeclared_step(values: Array) -> float:
+def undeclared_step(values: Array, fewest: int = MANY) -> float:
     """Finds the count of a channel that has no declared count, in the channel's unit. Returns 0 if the N values are not multiples
-    of any count."""
+    of any count. `fewest`: different values needed to recognise the count."""
     some = values[:: max(len(values) // _PIECE, 1)]
     distinct = np.unique(np.round((some - some.min()) / max(float(np.ptp(some)), 1e-300), 9))
     steps = np.diff(distinct) * float(np.ptp(some))
     repeated = len(distinct) <= len(some) / REPEATED or float(np.mean(np.diff(values) == 0)) > STUCK
-    if len(distinct) < MANY or not repeated:
+    if len(distinct) < fewest or not repeated:
         return 0.0
     count = float(np.median(steps[steps < ROUNDED * steps.min()]))
     whole = np.round(steps / count)

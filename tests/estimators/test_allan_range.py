@@ -13,6 +13,8 @@ from recorded import from_samples, segment, sensor
 from planrunner.estimators.allan.allan_deviation import AllanDeviation, AllanDeviationParameters
 from planrunner.estimators.allan.described_range import DescribedRange, distortion
 from planrunner.estimators.allan.fit import TERMS, NoiseFit
+from planrunner.estimators.allan.lines import largest, without_lines
+from planrunner.estimators.allan.phase import Phase
 from planrunner.estimators.interface import Estimate, EstimateRequest
 from planrunner.physics.earth import Site
 
@@ -44,8 +46,42 @@ def test_a_line_at_20_hz_does_not_move_the_random_walk(seed: int) -> None:
     time = np.arange(2**16) / HERTZ
     found = estimate(white(seed) + 20 * np.sin(2 * np.pi * 20 * time + seed))
     assert error(found, "N", 1.0) < 3.5
-    assert found["N_gyro"].standard_uncertainty < 0.25
+    assert found["N_gyro"].standard_uncertainty < 0.01
+    (text,) = found.warnings
+    assert "periodic disturbance (20 Hz, amplitude 20" in text or "periodic disturbance (20 Hz, amplitude 19.9" in text
+
+
+def test_a_vibration_whose_frequency_wanders_is_no_line() -> None:
+    draw = np.random.default_rng(4)
+    frequency = 20 + np.cumsum(draw.standard_normal(2**16)) / 256
+    found = estimate(white(4) + 20 * np.sin(2 * np.pi * np.cumsum(frequency) / HERTZ))
+    assert not [text for text in found.warnings if "periodic disturbance (" in text]
     assert [text for text in found.warnings if "At shorter averaging times" in text]
+
+
+def test_lines_of_several_runs_are_subtracted_from_each() -> None:
+    """What is left is the noise, without three degrees of freedom in tens of thousands."""
+    noise, wave = white(5), np.sin(2 * np.pi * 7.123 * np.arange(2**16) / HERTZ)
+    parts = np.split(noise + 3 * wave, [20_000, 20_500])  # the second is too short to be searched
+    phases = [np.concatenate(([0.0], np.cumsum(part))) for part in parts]
+    quiet, lines = without_lines(Phase(tuple(phases), 1 / HERTZ, 1, 2**16, 0, 2, 0, 0))
+    assert [round(line.frequency, 3) for line in lines] == [7.123, 7.123] and len(largest(lines, 3)) == 1
+    assert np.array_equal(quiet.runs[1], phases[1])
+    left = np.diff(quiet.runs[2]) - noise[20_500:]
+    assert np.sqrt(np.mean(left**2)) < 4 * np.std(noise) * np.sqrt(3 / left.size)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rounding_that_is_carried_over_is_named_and_its_noise_is_quantisation(seed: int) -> None:
+    """Counts of four times the noise of a sample. Rounding errors of the phase are uniform: Q = count·τ0/√12."""
+    count = 4 * math.sqrt(HERTZ)
+    total = np.cumsum(white(seed) + 3.7)
+    found = estimate(count * np.diff(np.round(total / count), prepend=0.0))
+    assert error(found, "N", 1.0) < 3.5 and error(found, "Q", count / HERTZ / math.sqrt(12)) < 3.5
+    assert found["N_gyro"].standard_uncertainty < 0.02
+    assert [text for text in found.warnings if "rounded to counts of 28.3" in text and "from 0.16 s only" in text]
+    alone = estimate(np.sqrt(HERTZ) * np.round(white(seed) / math.sqrt(HERTZ)))  # nothing is carried over
+    assert alone.warnings == () and error(alone, "Q", 0.0) < 3.5
 
 
 def test_a_change_beyond_chance_is_added_to_the_uncertainties() -> None:

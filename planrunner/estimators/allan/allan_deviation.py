@@ -1,7 +1,7 @@
 """Computes Allan deviations of outputs at rest, and fits the noise coefficients Q, N, B, K of IEEE Std 952 to the Allan variance.
 
 The module `phase` reads samples and treats gaps; `kernel` computes sums; `confidence` computes degrees of freedom and intervals;
-`fit` computes the coefficients.
+`fit` computes the coefficients; `lines` subtracts periodic disturbances.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from planrunner.base.said import Said, counted, said
 from planrunner.estimators.allan.confidence import NAMES
 from planrunner.estimators.allan.described_range import DescribedRange, described_range
 from planrunner.estimators.allan.fit import FLAT, TERMS, expected_covariance, model_matrix
+from planrunner.estimators.allan.lines import Line, largest, without_lines
 from planrunner.estimators.allan.phase import LONGEST, Phase, read_phase
 from planrunner.estimators.allan.planning import (
     averaging_factors,
@@ -47,6 +48,7 @@ from planrunner.estimators.interface import (
 )
 from planrunner.estimators.root_of_square import root_of
 from planrunner.estimators.tables import Plot, Role, Table, TableColumn, by_columns
+from planrunner.observation.lattice import undeclared_step
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, MapOf, Number, QuantityOf, Record, key, optional
 from planrunner.plan.quantity import Quantity, parse_quantity
 from planrunner.plan.schedule import Rest
@@ -60,6 +62,8 @@ WORDS = {
 }
 _FLOOR_FREEDOM = 10.0  # of an Allan deviation that is named as the lowest
 _SIGNIFICANT = 2.0  # standard uncertainties of a squared coefficient from zero
+_SEEN = 2**14  # phase points in which a count is sought
+_NAMED = 3  # lines in a sentence
 
 
 class AllanDeviationParameters(Record):
@@ -275,9 +279,17 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
         if phase.gaps:
             raise UnfitDataError(str(error)) from None
         raise
-    described = described_range(phase, chosen, terms, lambda: _hadamard(phase, chosen, parameters))
+    count = _count(phase)
+    described = described_range(phase, chosen, terms, lambda: _hadamard(phase, chosen, parameters), count)
+    if phase.decimation == 1 and (described.shorter > described.rounded or not described.fits):
+        quiet, lines = without_lines(phase)
+        if lines:
+            factors = np.array([row.factor for row in chosen], dtype=np.int64)
+            clean = [row for row in deviations(quiet, "overlapping", factors, parameters.confidence) if row.value > 0]
+            described = described_range(quiet, clean, terms, lambda: _hadamard(quiet, chosen, parameters), count)
+            result.warnings.append(_periodic(result, lines))
     fit, covariance = described.fit, described.covariance
-    widening = _judge(result, described)
+    widening = _judge(result, described, count)
     units = result.sensed.units if result.sensed else coefficient_units(result.unit)
     roots = squares_to_coefficients(phase.interval)
     spreads = []
@@ -314,6 +326,22 @@ def _fit(result: _Result, phase: Phase, parameters: AllanDeviationParameters) ->
     result.plot = _plot(result, described)
 
 
+def _count(phase: Phase) -> float:
+    """Returns the step of which all differences between samples are multiples, in the output's unit; 0 if there is none."""
+    longest = max(phase.runs, key=len)
+    return undeclared_step(np.diff(longest[:_SEEN]), fewest=2)
+
+
+def _periodic(result: _Result, lines: Sequence[Line]) -> Said:
+    shown = largest(lines, _NAMED)
+    return said(
+        "{name}: the output contains a periodic disturbance ({lines}). The noise coefficients describe the output without "
+        "this disturbance. The deviations in the tables include it.",
+        name=result.name,
+        lines=", ".join(f"{one.frequency:.4g} Hz, amplitude {one.amplitude:.3g} {result.unit}" for one in shown),
+    )
+
+
 def _hadamard(phase: Phase, chosen: Sequence[Deviation], parameters: AllanDeviationParameters) -> list[Deviation]:
     """Returns the Hadamard deviations at the averaging times of the fit, if they have enough degrees of freedom."""
     factors = np.array([row.factor for row in chosen], dtype=np.int64)
@@ -321,9 +349,9 @@ def _hadamard(phase: Phase, chosen: Sequence[Deviation], parameters: AllanDeviat
     return [row for row in rows if row.value > 0 and takes_part(row.tau, row.freedom, parameters.fit_up_to)]
 
 
-def _judge(result: _Result, found: DescribedRange) -> float:
+def _judge(result: _Result, found: DescribedRange, count: float) -> float:
     """Adds notes and warnings about the fitted range of averaging times. Returns the factor that widens the uncertainties if the
-    model does not describe any range of averaging times."""
+    model does not describe any range of averaging times. `count`: count of the output, in its unit."""
     name, drift = result.name, found.drift
     if drift is not None:
         result.notes.append(
@@ -362,7 +390,19 @@ def _judge(result: _Result, found: DescribedRange) -> float:
             )
         )
         return widening
-    if found.shorter:
+    if found.rounded and found.shorter == found.rounded:
+        result.warnings.append(
+            said(
+                "{name}: the output is rounded to counts of {count:.3g} {unit}, and the rounding error is carried over to the "
+                "next sample. The noise coefficients describe averaging times from {time:.4g} s only, because "
+                "rounding errors less far apart depend on each other.",
+                name=name,
+                count=count,
+                unit=result.unit,
+                time=found.fitted[0].tau,
+            )
+        )
+    elif found.shorter:
         result.warnings.append(
             said(
                 "{name}: the noise coefficients describe averaging times from {time:.4g} s only. At shorter "

@@ -31,7 +31,8 @@ carried over to the next sample. In these records, with a limit of 0.01, the coe
 uncertainties."""
 _NEGATIVE = 4.0  # standard uncertainties by which a square may be negative by chance
 _SPARE = 2  # averaging times more than terms that a range needs
-_WHITE, _WALK = TERMS.index("N"), TERMS.index("K")
+_NEGLIGIBLE = 0.1  # of the standard deviation of a variance: the effect of correlated rounding errors is not larger
+_QUANTISED, _WHITE, _WALK = TERMS.index("Q"), TERMS.index("N"), TERMS.index("K")
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,8 @@ class DescribedRange:
     `fitted`: the deviations to which `fit` was fitted; these are Hadamard deviations if `drift` is given. `shorter`, `longer`:
     number of averaging times omitted at the short and at the long end. `distortions`: array of shape (r, 4). Each row belongs to
     one shortened end. It contains the change of the squared coefficients, beyond chance, if one more averaging time is omitted at
-    this end. `fits`: True if the model describes the remaining averaging times. `probability`: if the model is right, the
+    this end. `rounded`: number of averaging times omitted in advance, because rounding errors are correlated; they are part of
+    `shorter`. `fits`: True if the model describes the remaining averaging times. `probability`: if the model is right, the
     probability of a χ² at least as large as the χ² found.
     """
 
@@ -51,6 +53,7 @@ class DescribedRange:
     longer: int = 0
     drift: SteadyDrift | None = None
     distortions: Array = field(default_factory=lambda: np.zeros((0, len(TERMS))))
+    rounded: int = 0
 
     @property
     def covariance(self) -> Array:
@@ -78,13 +81,44 @@ class DescribedRange:
 
 
 def described_range(
-    phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], hadamard: Callable[[], Sequence[Deviation]]
+    phase: Phase,
+    rows: Sequence[Deviation],
+    terms: Sequence[str],
+    hadamard: Callable[[], Sequence[Deviation]],
+    count: float = 0.0,
 ) -> DescribedRange:
     """Finds the averaging times that the noise model describes.
 
     `rows`: overlapping Allan deviations that have enough degrees of freedom. `hadamard`: a function that computes the Hadamard
-    deviations; it is called only if they are needed, because this takes time.
+    deviations; it is called only if they are needed, because this takes time. `count`: count of the output, in its unit; 0 if it
+    has none.
     """
+    found = _described(phase, rows, terms, hadamard)
+    skipped = _correlated_rounding(found.fit, rows, count) if phase.decimation == 1 else 0
+    if not 0 < skipped <= len(rows) - len(terms) - _SPARE:
+        return found
+    first = rows[skipped].factor
+    later = _described(phase, rows[skipped:], terms, lambda: [row for row in hadamard() if row.factor >= first])
+    return replace(later, shorter=later.shorter + skipped, rounded=skipped)
+
+
+def _correlated_rounding(fit: NoiseFit, rows: Sequence[Deviation], count: float) -> int:
+    """Returns the number of short averaging times at which the correlation of rounding errors matters. It is 0 if the rounding
+    error is not carried over: then the output has no quantisation noise. With carried-over errors, Q²/τ0² is count²/12."""
+    carried = count**2 / 12
+    if not count or fit.squares[_QUANTISED] < carried / 2:
+        return 0
+    m = np.array([row.factor for row in rows], dtype=float)
+    spread = np.array([row.value**2 * math.sqrt(2 / row.freedom) for row in rows])
+    decay = np.exp(-2 * math.pi**2 * max(float(fit.squares[_WHITE]), 0.0) * m / count**2)
+    left = 4 * carried * 6 / math.pi**2 * decay / m**2  # of 3·Q²/τ², from the correlation at a lag of m
+    matters = np.flatnonzero(left > _NEGLIGIBLE * spread)
+    return int(matters[-1]) + 1 if len(matters) else 0
+
+
+def _described(
+    phase: Phase, rows: Sequence[Deviation], terms: Sequence[str], hadamard: Callable[[], Sequence[Deviation]]
+) -> DescribedRange:
     allan = _Ranges(phase, rows, terms, ALLAN)
     walks, white = _walks(allan.whole.fit), _white(allan.whole.fit)
     if allan.whole.fits and not walks and white.squares.any() and not steady_drift(phase, white).present:
