@@ -11,6 +11,7 @@ not a line: after the largest lines are subtracted, other large values remain. N
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +26,9 @@ CHANCE = 1e-6
 """Probability that white noise alone has a line anywhere in the periodogram of a run."""
 _MOST = 8  # lines of a run
 _SHORTEST = 1024  # samples of a run that is searched
-_FIRST = 128  # lowest frequency that is searched, in periods per run: below, the level of coloured noise is not known well
+_FIRST = (
+    128  # lowest frequency that is searched, in periods per run: below, the level of coloured noise is not known well
+)
 _OCTAVE = 4  # bands per octave for the level of the noise
 _ROUNDS = 20  # of the improvement of a frequency
 
@@ -81,8 +84,10 @@ def _peak(values: Array) -> float | None:
 
     length = next_fast_len(len(values), real=True)
     power = np.abs(rfft(values, length)) ** 2
-    edges = np.unique(np.round(np.append(2 ** np.arange(np.log2(_FIRST), np.log2(len(power)), 1 / _OCTAVE), len(power))))
-    bands = [power[int(low) : int(high)] for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    edges = np.unique(
+        np.round(np.append(2 ** np.arange(np.log2(_FIRST), np.log2(len(power)), 1 / _OCTAVE), len(power)))
+    )
+    bands = [power[int(low) : int(high)] for low, high in itertools.pairwise(edges)]
     levels = np.array([float(np.median(band)) for band in bands]) / math.log(2)
     if not (levels > 0).all():
         return None
