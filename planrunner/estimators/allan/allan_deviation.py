@@ -17,7 +17,7 @@ from planrunner.base.said import Said, counted, said
 from planrunner.estimators.allan.confidence import NAMES
 from planrunner.estimators.allan.described_range import DescribedRange, described_range
 from planrunner.estimators.allan.fit import FLAT, TERMS, expected_covariance, model_matrix
-from planrunner.estimators.allan.lines import Line, largest, without_lines
+from planrunner.estimators.allan.lines import SpectralLine, largest, without_lines
 from planrunner.estimators.allan.phase import LONGEST, Phase, read_phase
 from planrunner.estimators.allan.planning import (
     averaging_factors,
@@ -332,7 +332,7 @@ def _count(phase: Phase) -> float:
     return undeclared_step(np.diff(longest[:_SEEN]), fewest=2)
 
 
-def _periodic(result: _Result, lines: Sequence[Line]) -> Said:
+def _periodic(result: _Result, lines: Sequence[SpectralLine]) -> Said:
     shown = largest(lines, _NAMED)
     return said(
         "{name}: the output contains a periodic disturbance ({lines}). The noise coefficients describe the output without "

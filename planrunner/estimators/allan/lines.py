@@ -34,18 +34,18 @@ _ROUNDS = 20  # of the improvement of a frequency
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class SpectralLine:
     """A line of one run. `frequency` [Hz], `amplitude` in the unit of the output."""
 
     frequency: float
     amplitude: float
 
 
-def without_lines(phase: Phase) -> tuple[Phase, tuple[Line, ...]]:
+def without_lines(phase: Phase) -> tuple[Phase, tuple[SpectralLine, ...]]:
     """Returns the phase without its lines, and the lines, largest first. If there are none, or if the disturbance is not
     periodic, the phase itself is returned without lines."""
     runs: list[Array] = []
-    found: list[Line] = []
+    found: list[SpectralLine] = []
     for run in phase.runs:
         values = np.diff(run)
         lines = _lines(values) if len(values) >= _SHORTEST else []
@@ -57,7 +57,7 @@ def without_lines(phase: Phase) -> tuple[Phase, tuple[Line, ...]]:
         waves = np.zeros(len(values))
         for turn, cosine, sine in lines:
             waves += _waves(turn, len(values)) @ [cosine, sine]
-            found.append(Line(turn / (2 * math.pi * phase.interval), math.hypot(cosine, sine)))
+            found.append(SpectralLine(turn / (2 * math.pi * phase.interval), math.hypot(cosine, sine)))
         runs.append(run - np.concatenate(([0.0], np.cumsum(waves))))
     if not found:
         return phase, ()
@@ -125,9 +125,9 @@ def _waves(turn: float, n: int) -> Array:
     return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def largest(lines: Sequence[Line], count: int) -> tuple[Line, ...]:
+def largest(lines: Sequence[SpectralLine], count: int) -> tuple[SpectralLine, ...]:
     """Returns the largest lines with different frequencies (a line of several runs counts once)."""
-    found: list[Line] = []
+    found: list[SpectralLine] = []
     for line in lines:
         if not any(abs(line.frequency / one.frequency - 1) < 0.01 for one in found):
             found.append(line)
