@@ -384,6 +384,16 @@ def test_a_view_of_sqlite_is_not_run(tmp_path: Path) -> None:
     assert "has no tables" in refusal(tmp_path, "file: r.db\ntime: {column: t}\n" + columns({"x": "x"}))
 
 
+def test_a_database_whose_schema_is_damaged(tmp_path: Path) -> None:
+    """The message of SQLite shows the damaged text, which is not UTF-8."""
+    with sqlite3.connect(tmp_path / "r.db") as base:
+        base.execute("CREATE TABLE samples(t REAL, x REAL)")
+    base.close()
+    whole = (tmp_path / "r.db").read_bytes()
+    (tmp_path / "r.db").write_bytes(whole.replace(b"samples(t ", b"samples(\xcc "))
+    assert refusal(tmp_path, "file: r.db\ntime: {column: t}\n" + columns({"x": "x"})).startswith("r.db")
+
+
 @pytest.mark.parametrize(
     "name", ["r.mat", "r.npy", "r.npz", "r.h5", "r.db", "r.ulg", "r.parquet", "r.json", "r.xlsx", "r.tdms"]
 )

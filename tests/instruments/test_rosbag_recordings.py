@@ -550,6 +550,16 @@ def test_a_database_that_is_cut_is_refused(tmp_path: Path) -> None:
         assert refusal(opened(path)).startswith("r.db3")
 
 
+def test_a_database_whose_schema_is_damaged(tmp_path: Path) -> None:
+    """The message of SQLite shows the damaged text."""
+    path = in_database(tmp_path)
+    whole = path.read_bytes()
+    for wrong in (b"\x11", b"\xcc"):
+        path.write_bytes(whole.replace(b"TABLE topics(id ", b"TABLE topics(%s%s " % (wrong, wrong)))
+        said = refusal(opened(path))
+        assert said.startswith("r.db3 is damaged: ") and said.isprintable()
+
+
 def test_a_database_with_a_log_of_changes(tmp_path: Path) -> None:
     path = in_database(tmp_path)
     path.with_name("r.db3-wal").write_bytes(b"x")

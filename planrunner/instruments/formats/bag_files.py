@@ -66,8 +66,7 @@ class Topic:
     @classmethod
     def of(cls, name: str, kind: str, definition: str, *, is_cdr: bool, count: int = 0, problem: str = "") -> Topic:
         """Makes a topic from the texts in a bag. Characters that cannot be displayed are replaced."""
-        name, kind = ("".join(one if one.isprintable() else "?" for one in text[:MAX_NAME]) for text in (name, kind))
-        return cls(name, kind, definition, is_cdr, count, problem)
+        return cls(_shown(name, MAX_NAME), _shown(kind, MAX_NAME), definition, is_cdr, count, problem)
 
     def joined(self, other: Topic) -> Topic:
         """Returns the topic with the messages of another publisher or of another file."""
@@ -78,6 +77,15 @@ class Topic:
             problem = f"the bag contains two definitions of its type {self.type}"
         definition = self.definition or other.definition
         return replace(self, definition=definition, count=self.count + other.count, problem=problem)
+
+
+def _shown(text: str, most: int) -> str:
+    """Returns the first `most` characters of a text, with `?` in the place of characters that cannot be displayed."""
+    return "".join(one if one.isprintable() else "?" for one in text[:most])
+
+
+def _text(data: bytes) -> str:
+    return data.decode(errors="replace")
 
 
 class _CutError(Exception):
@@ -187,7 +195,7 @@ def _unpacked(packed: MessageBytes, how: str, size: int) -> MessageBytes:
     elif how == "zstd":
         made = _limited(_zstd(), packed, size)
     else:
-        raise ValueError(f"its compression '{how[:20]}' is not known")
+        raise ValueError(f"its compression '{_shown(how, 20)}' is not known")
     if len(made) != size:
         raise ValueError(f"it should have {size} bytes after unpacking, but has {len(made)} or more")
     return made
@@ -383,7 +391,7 @@ class _Ros1Bag(_RecordsFile):
     def _first(self, source: _Source) -> int:
         start = bytes(source.read(0, len(self._START)))
         if start != self._START:
-            version = start[len(ROS1_MAGIC) :].partition(b"\n")[0].decode("ascii", "replace")
+            version = _shown(start[len(ROS1_MAGIC) :].partition(b"\n")[0].decode("ascii", "replace"), 10)
             hint = f"convert it with `rosbag migrate {self.path.name} NEW.bag`"
             raise InstrumentError(
                 f"{self.name} is a bag of the version {version}; planrunner reads version 2.0: {hint}"
@@ -480,7 +488,11 @@ class _Mcap(_RecordsFile):
         number, of_schema = struct.unpack_from("<HH", data)
         topic, encoding = (one.decode() for one in _strings(data, 4, 2))
         schema = self._schemas.get(of_schema, _Schema("unknown", "", ""))
-        problem = "" if encoding in ("cdr", "ros1") else f"its messages are encoded as '{encoding[:40]}', not as in ROS"
+        problem = (
+            ""
+            if encoding in ("cdr", "ros1")
+            else f"its messages are encoded as '{_shown(encoding, 40)}', not as in ROS"
+        )
         text = schema.text if schema.encoding in ("ros1msg", "ros2msg") else ""
         return number, Topic.of(topic, schema.name, text, is_cdr=encoding == "cdr", problem=problem)
 
@@ -553,11 +565,14 @@ class _Database(BagFile):
 
         open_samples(self.path, self.name).close()  # a regular file within the bounds
         connection = sqlite3.connect(f"{self.path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+        connection.text_factory = _text
         try:
             connection.execute("PRAGMA trusted_schema=OFF")
             yield connection
         except (sqlite3.Error, OverflowError) as error:
-            raise self._damaged((str(error).splitlines() or [""])[0][:150]) from None
+            raise self._damaged(_shown((str(error).splitlines() or [""])[0], 150)) from None
+        except UnicodeDecodeError:  # sqlite3 shows a part of the file in its message
+            raise self._damaged("a name in it is not UTF-8 text") from None
         finally:
             connection.close()
 
@@ -585,7 +600,7 @@ class _Database(BagFile):
         found: dict[str, Topic] = {}
         rows = connection.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id")
         for number, name, kind, form in rows.fetchmany(MAX_TOPICS):
-            problem = "" if form == "cdr" else f"its messages are encoded as '{str(form)[:40]}', not as in ROS 2"
+            problem = "" if form == "cdr" else f"its messages are encoded as '{_shown(str(form), 40)}', not as in ROS 2"
             definition, count = definitions.get(str(kind), ""), counts.get(number, 0)
             one = Topic.of(str(name), str(kind), definition, is_cdr=True, count=count, problem=problem)
             found[one.name] = found[one.name].joined(one) if one.name in found else one
@@ -667,7 +682,9 @@ class _Folder(BagFile):
         posix, windows = PurePosixPath(listed), PureWindowsPath(listed)
         plain = len(windows.parts) == len(posix.parts) and not windows.drive and not windows.root and "\0" not in listed
         if not plain or ".." in posix.parts or not 1 <= len(posix.parts) <= 2:
-            raise InstrumentError(f"{self.name}/{METADATA} names the file '{listed[:200]}', which is not in the folder")
+            raise InstrumentError(
+                f"{self.name}/{METADATA} names the file '{_shown(listed, 200)}', which is not in the folder"
+            )
         try:
             path = (self.path / posix.name).resolve(strict=True)
         except (OSError, RuntimeError):

@@ -50,6 +50,8 @@ class SqliteFile(FormatFile[SqliteKeys]):
             yield connection
         except sqlite3.Error as error:
             raise self.unreadable(error) from None
+        except UnicodeDecodeError:  # sqlite3 shows a part of the file in its message
+            raise InstrumentError(f"{self.name} cannot be read: a name in it is not UTF-8 text") from None
         finally:
             connection.close()
 

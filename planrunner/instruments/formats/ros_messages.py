@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 MessageBytes = bytes | memoryview
 
 MAX_DEFINITION = 300_000
-"""Maximum number of characters of a definition. The parser needs about 10 s for such a text."""
+"""Maximum number of characters of a definition. The parser usually needs 2 s for such a text; the slowest text that was tried
+needed 12 s."""
 MAX_ELEMENTS = 64
 """Maximum length of an array whose elements are columns. Longer arrays are not read."""
 MAX_FIELDS = 5_000
@@ -116,10 +117,9 @@ def message_type(name: str, text: str, *, is_cdr: bool) -> MessageType:
     them; empty if the bag stores none. Without a definition, the type must be part of ROS 2. Raises `UnreadableTypeError` if there
     is no definition, or if it cannot be parsed. Raises `ImportError` if the package rosbags is absent."""
     from rosbags.typesys import TypesysError, get_types_from_msg
-    from rosbags.typesys.msg import normalize_msgtype
 
+    usual = usual_name(name)
     if not text:
-        usual = normalize_msgtype(name)
         if usual not in _types_of_ros():
             raise UnreadableTypeError("is not part of ROS, and the bag does not contain its definition")
         return MessageType(usual, _types_of_ros(), is_cdr)
@@ -129,7 +129,13 @@ def message_type(name: str, text: str, *, is_cdr: bool) -> MessageType:
         parsed = get_types_from_msg(text, name)
     except (TypesysError, RecursionError, AssertionError, ValueError, OverflowError):
         raise UnreadableTypeError("has a definition that is not in the form of a .msg file of ROS") from None
-    return MessageType(normalize_msgtype(name), _fields_of(parsed), is_cdr)
+    return MessageType(usual, _fields_of(parsed), is_cdr)
+
+
+def usual_name(name: str) -> str:
+    """Returns the name of a type in the form of ROS 2: `sensor_msgs/msg/Imu` for `sensor_msgs/Imu`."""
+    package, _, own = name.rpartition("/")
+    return name if package.endswith(("/msg", "/action")) or not package else f"{package}/msg/{own}"
 
 
 @functools.cache

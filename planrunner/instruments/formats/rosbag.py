@@ -7,7 +7,7 @@ times, so a recording takes all its columns from one topic. The column `header.s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from planrunner.instruments.formats.ros_messages import (
     UnreadableTypeError,
     WrongMessageError,
     message_type,
+    usual_name,
 )
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import Span
@@ -36,19 +37,33 @@ _SHOWN = 12  # topics in a message
 
 
 @dataclass(frozen=True, slots=True)
-class _Contents:
-    """The contents of a bag. `topics`: all topics by name. `types`: the types of those topics whose messages can be read. `fields`:
-    the fields of these topics, with their units. `problems`: for the other topics, the reason why they cannot be read."""
+class _Fields:
+    """The fields of the messages of a topic, with their units. `type`: the type of the messages; None if they cannot be read, for the
+    reason `problem`."""
 
-    topics: Mapping[str, Topic]
-    types: Mapping[str, MessageType]
-    fields: Mapping[str, Mapping[str, str]]
-    problems: Mapping[str, str]
+    type: MessageType | None
+    units: Mapping[str, str]
+    problem: str = ""
+
+
+class _Contents:
+    """The contents of a bag. `topics`: all topics by name. The definitions of the messages of a topic are parsed when they are needed,
+    because a bag may contain hundreds of topics."""
+
+    def __init__(self, bag: BagFile):
+        self.bag, self.topics = bag, bag.topics()
+        self._fields: dict[str, _Fields] = {}
 
     def topic_of(self, column: str) -> str:
         """Returns the topic of a column; empty if there is none."""
         fits = [name for name in self.topics if column.startswith(f"{name}.")]
         return max(fits, key=len, default="")
+
+    def fields(self, topic: str) -> _Fields:
+        """Returns the fields of the messages of a topic."""
+        if topic not in self._fields:
+            self._fields[topic] = _fields_of(self.topics[topic])
+        return self._fields[topic]
 
 
 class RosbagFile(FormatFile[NoKeys]):
@@ -56,36 +71,35 @@ class RosbagFile(FormatFile[NoKeys]):
 
     def __init__(self, path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], parameters: NoKeys):
         super().__init__(path, name, stamps, channels, parameters)
-        self._known: tuple[BagFile, _Contents] | None = None
+        self._known: _Contents | None = None
 
     def columns(self) -> list[str]:
-        fields = self._contents().fields
-        return [f"{topic}.{field}" for topic, own in fields.items() for field in own]
+        return list(self._units(self._needed()))
 
     def examined(self) -> list[str]:
         """Returns the columns of the topic that most probably contains the IMU: of the messages of the type Imu, or of any type, the
         topic with most messages. Covariances are left out: they are statements of the driver, not samples."""
         contents = self._contents()
-        counts = {
-            name: (one.name == _IMU, contents.topics[name].count)
-            for name, one in contents.types.items()
-            if contents.topics[name].count
-        }
-        if not counts:
-            reasons = [f"{topic}: {reason}" for topic, reason in contents.problems.items()]
-            raise InstrumentError(
-                f"{self.name} has no topic with messages that can be read{'; '.join(['', *reasons[:3]])}"
-            )
-        best = max(counts, key=counts.__getitem__)
-        return [f"{best}.{field}" for field in contents.fields[best] if _COVARIANCE not in field]
+        ranked = sorted(
+            (one for one in contents.topics.values() if one.count),
+            key=lambda one: (usual_name(one.type) == _IMU, one.count),
+            reverse=True,
+        )
+        for topic in ranked:
+            found = contents.fields(topic.name).units
+            if found:
+                return [f"{topic.name}.{field}" for field in found if _COVARIANCE not in field]
+        reasons = [f"; {one.name}: {contents.fields(one.name).problem}" for one in ranked[:3]]
+        raise InstrumentError(f"{self.name} has no topic with messages that can be read{''.join(reasons)}")
 
     def contents(self) -> tuple[str, ...]:
         topics = self._contents().topics.values()
         return tuple(f"topic {one.name}: {one.count} messages of the type {one.type}" for one in topics)
 
     def units(self) -> Mapping[str, str]:
-        fields = self._contents().fields
-        return {f"{topic}.{field}": unit for topic, own in fields.items() for field, unit in own.items() if unit}
+        contents = self._contents()
+        topics = self._needed() if self.wanted else [contents.topic_of(self.examined()[0])]
+        return {column: unit for column, unit in self._units(topics).items() if unit}
 
     def rows_about(self) -> int:
         return self._contents().topics[self._topic()].count
@@ -95,30 +109,37 @@ class RosbagFile(FormatFile[NoKeys]):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        return () if self._known is None else tuple(self._known[0].remarks)
+        return () if self._known is None else tuple(self._known.bag.remarks)
 
     def hint(self, column: str, known: list[str]) -> str:
         contents = self._contents()
         topic = contents.topic_of(column)
-        if topic in contents.problems:
-            return f"the messages of {topic} cannot be read: {contents.problems[topic]}"
         if topic:
-            return closest(column, [f"{topic}.{field}" for field in contents.fields[topic]])
+            own = contents.fields(topic)
+            if own.problem:
+                return f"the messages of {topic} cannot be read: {own.problem}"
+            return closest(column, [f"{topic}.{field}" for field in own.units])
         named = [f"{one.name} ({one.type})" for one in contents.topics.values()]
         shown = f"{', '.join(named[:_SHOWN])}{' …' if len(named) > _SHOWN else ''}"
         return f"its topics are {shown}; the name of the topic comes first, then a point and the name of the field"
 
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
-        topic = self._topic()
-        bag, contents = self._opened()
+        topic, contents = self._topic(), self._contents()
+        kind = contents.fields(topic).type
+        if kind is None:
+            raise InstrumentError(
+                f"{self.name}: the messages of {topic} cannot be read: {contents.fields(topic).problem}"
+            )
         fields = [column.removeprefix(f"{topic}.") for column in self.wanted]
-        received = self._receives(topic)
-        decoded = [field for field in fields if not (received and field == RECEIVE_TIME)]
-        decoder = MessageReader(contents.types[topic], decoded)
-        first, times, rows = 1, [], []
-        for time, message in bag.messages(topic):
+        decoder = MessageReader(
+            kind, [field for field in fields if field != RECEIVE_TIME or RECEIVE_TIME in kind.fields()]
+        )
+        first = 1
+        times: list[int] = []
+        rows: list[list[float]] = []
+        for time, message in contents.bag.messages(topic):
             try:
-                rows.append(decoder.numbers(message) if decoded else [])
+                rows.append(decoder.numbers(message))
             except WrongMessageError as error:
                 raise self._wrong(topic, first + len(rows), error) from None
             times.append(time)
@@ -140,55 +161,55 @@ class RosbagFile(FormatFile[NoKeys]):
             "was recorded with another definition of the type"
         )
 
-    def _receives(self, topic: str) -> bool:
-        """Returns True if the column `receive_time` of a topic is the time of the recorder, not a field of its messages."""
-        return RECEIVE_TIME not in self._contents().types[topic].fields()
-
     def _topic(self) -> str:
         """Returns the topic of all columns. Raises `InstrumentError` if they belong to several topics."""
-        contents = self._contents()
-        topics = list(dict.fromkeys(contents.topic_of(column) for column in self.wanted))
+        topics = self._needed()
         if len(topics) > 1:
             message = (
                 f"its columns belong to the topics {' and '.join(topics[:4])}, whose messages have different times"
             )
             raise InstrumentError(f"{self.name}: {message}; take all columns, and the time, from one topic")
-        return topics[0] if topics else next(iter(contents.fields))
+        return topics[0]
+
+    def _needed(self) -> list[str]:
+        """Returns the topics of the columns that are needed; all topics if no column is named yet."""
+        contents = self._contents()
+        if not self.wanted:
+            return list(contents.topics)
+        return list(dict.fromkeys(topic for column in self.wanted if (topic := contents.topic_of(column))))
+
+    def _units(self, topics: Sequence[str]) -> dict[str, str]:
+        """Returns the columns of some topics, with their units."""
+        contents = self._contents()
+        return {f"{topic}.{field}": unit for topic in topics for field, unit in contents.fields(topic).units.items()}
 
     def _contents(self) -> _Contents:
-        return self._opened()[1]
-
-    def _opened(self) -> tuple[BagFile, _Contents]:
-        """Returns the bag and its contents."""
+        """Returns the contents of the bag. Raises `InstrumentError` if it cannot be read, or if it contains no messages."""
         if self._known is None:
+            made = _Contents(open_bag(self.path, self.name))
+            if not any(one.count for one in made.topics.values()):
+                raise InstrumentError(
+                    f"{self.name} contains no messages{''.join(f'; {one}' for one in made.bag.remarks)}"
+                )
             try:
-                bag = open_bag(self.path, self.name)
-                self._known = bag, _contents_of(bag)
-            except ImportError as missing:
-                message = f"reading ROS bags needs the package {missing.name}; install it with: pip install 'planrunner[recordings]'"
+                import rosbags.typesys  # noqa: F401
+            except ImportError:
+                message = (
+                    "reading ROS bags needs the package rosbags; install it with: pip install 'planrunner[recordings]'"
+                )
                 raise InstrumentError(f"{self.name}: {message}") from None
+            self._known = made
         return self._known
 
 
-def _contents_of(bag: BagFile) -> _Contents:
-    """Finds the topics of a bag, and the fields of their messages. Raises `InstrumentError` if the bag contains no messages."""
-    topics = bag.topics()
-    if not any(one.count for one in topics.values()):
-        raise InstrumentError(f"{bag.name} contains no messages{''.join(f'; {remark}' for remark in bag.remarks)}")
-    types: dict[str, MessageType] = {}
-    fields: dict[str, Mapping[str, str]] = {}
-    problems: dict[str, str] = {}
-    for name, topic in topics.items():
-        try:
-            if topic.problem:
-                raise UnreadableTypeError(topic.problem)
-            types[name] = message_type(topic.type, topic.definition, is_cdr=topic.is_cdr)
-            own = types[name].fields()
-        except UnreadableTypeError as error:
-            types.pop(name, None)
-            problems[name] = topic.problem or f"its type {topic.type} {error}"
-            continue
-        stamped = [_STAMP] if _STAMP in own else []
-        order = [*stamped, *(field for field in own if field != _STAMP)]
-        fields[name] = {**{field: own[field] for field in order}, RECEIVE_TIME: own.get(RECEIVE_TIME, "s")}
-    return _Contents(topics, types, fields, problems)
+def _fields_of(topic: Topic) -> _Fields:
+    """Finds the fields of the messages of a topic. The stamp comes first, and the time of reception last."""
+    if topic.problem:
+        return _Fields(None, {}, topic.problem)
+    try:
+        kind = message_type(topic.type, topic.definition, is_cdr=topic.is_cdr)
+        own = kind.fields()
+    except UnreadableTypeError as error:
+        return _Fields(None, {}, f"its type {topic.type} {error}")
+    order = sorted(own, key=lambda field: field != _STAMP)
+    return _Fields(kind, {**{field: own[field] for field in order}, RECEIVE_TIME: own.get(RECEIVE_TIME, "s")})
