@@ -4,13 +4,16 @@
 the runs. It writes the output of `--json` for each plan: predicted uncertainties, coefficients with standard uncertainty and
 covariance, budgets, tables, verdicts on limits. `python -m benchmarks.shipped_results compare FILE` repeats this and lists every
 figure that differs from FILE by more than 1e-9, relative to the larger of the two figures. It looks for recordings in
-`PLANRUNNER_DATA` or `../shared/data`.
+`PLANRUNNER_DATA` or `../shared/data`. For three plans, it writes a recording with the independent physics of `tests/recorded_imu.py`.
+
+To compare with an earlier commit, make a clone of it, copy this file into the clone, and give the first command there.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import sys
@@ -19,12 +22,24 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from planrunner.base.arrays import Array
+from planrunner.plan.schedule import Rock
+from planrunner.tasks.check import check_plan
+from tests.directions import WORDS
+from tests.recorded_imu import Felt, Row, write_recording
+
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("PLANRUNNER_DATA", ROOT.parent / "shared" / "data"))
 SEED = 7
 TOLERANCE = 1e-9
 INFORMATION = {"device_serial": "A-1", "operator": "tester", "fixture": "F-1", "accelerometer_range": "10 g"}
-DIAGNOSED = ("imu_multi_position", "mpu9150_imu0", "rimu_rate_staircase", "flexure_gyro_eight_position")
+RECORDED = ("imu_recorded_over_temperature", "imu_recorded_hot", "imu_recorded_cold_and_hot")
+"""Plans that play back a recording of an IMU. There is no such recording in the folder of recordings."""
+G_SENSITIVITY = 0.004
+"""Rate that the x gyro of such a recording shows in addition, in deg/s per m/s² of the specific force along y."""
+DIAGNOSED = ("imu_multi_position", "mpu9150_imu0", "rimu_rate_staircase", "flexure_gyro_eight_position", *RECORDED)
 PATHS = {"analysis", "folder", "file"}
 """Keys whose values differ from run to run."""
 
@@ -53,19 +68,44 @@ def main(arguments: list[str] | None = None) -> int:
 def results_of(plan: Path) -> dict[str, Any]:
     """Returns the output of `check`, `run` and, for some plans, `diagnose` for one plan."""
     print(plan.stem, file=sys.stderr, flush=True)
-    with tempfile.TemporaryDirectory() as runs:
+    with tempfile.TemporaryDirectory() as runs, tempfile.TemporaryDirectory() as made:
+        data = str(recording_of(plan, Path(made)) if plan.stem in RECORDED else DATA)
         told = [
             word for name, value in INFORMATION.items() for word in ("--set", f"{name}={value}") if asked(plan, name)
         ]
         found = {
-            "check": printed("check", str(plan), "--data", str(DATA), "--json"),
-            "run": printed("run", str(plan), "--seed", str(SEED), "--flushed", "--runs", runs, "--data", str(DATA),
+            "check": printed("check", str(plan), "--data", data, "--json"),
+            "run": printed("run", str(plan), "--seed", str(SEED), "--flushed", "--runs", runs, "--data", data,
                            "--json", *told),
         }  # fmt: skip
         if plan.stem in DIAGNOSED:
             (folder,) = (path.parent for path in Path(runs).glob("*/run.json"))
             found["diagnose"] = printed("diagnose", str(folder), "--json")
     return found
+
+
+def recording_of(plan: Path, folder: Path) -> Path:
+    """Writes a recording of the segments of a plan in `folder`, and returns the folder. The x gyro has a g-sensitivity."""
+    words = {direction: word for word, direction in WORDS.items()}
+    listed, time = [], 600.0
+    for segment in check_plan(plan).sound().schedule.segments:
+        assert segment.attitude is not None and segment.dwell is not None
+        axes = " ".join(words[tuple(np.rint(row).astype(int).tolist())] for row in segment.attitude)
+        motion, kelvin = segment.motion, segment.temperature if segment.ramp_to is None else segment.ramp_to
+        rock = (math.degrees(motion.amplitude), motion.frequency) if isinstance(motion, Rock) else None
+        celsius = 25.0 if kelvin is None else kelvin - 273.15
+        rate = math.degrees(segment.rate)
+        listed.append(
+            Row(segment.label, axes, segment.dwell, rate, rock, celsius, segment.ramp_to is not None, time + 15)
+        )
+        time += 15 + segment.dwell + (1800 if segment.ramp_to is not None else 0)
+    return write_recording(folder, SEED, g_sensitivity, listed=listed)
+
+
+def g_sensitivity(felt: Felt) -> tuple[Array, Array]:
+    rate = np.zeros_like(felt.rate)
+    rate[:, 0] = G_SENSITIVITY * felt.force[:, 1]
+    return rate, np.zeros_like(felt.force)
 
 
 def asked(plan: Path, name: str) -> bool:

@@ -25,9 +25,10 @@ others, so an effect becomes a hypothesis only after blind trials.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import chain
 from string import Formatter
 from typing import Literal, Protocol, runtime_checkable
 
@@ -342,8 +343,14 @@ class Shaped:
         """Returns the variant of the effect at one value of the shape."""
         raise NotImplementedError
 
+    def groups(self, observed: Observed) -> Iterator[list[Variant]]:
+        """Yields the variants on the grid in groups, so that the samples of only one group need to be in memory. Each variant is a
+        group; effects whose variants share their samples yield one group with all variants."""
+        for value in self.grid(observed):
+            yield [self.at(observed, float(value))]
+
     def variants(self, observed: Observed) -> list[Variant]:
-        return [self.at(observed, float(value)) for value in self.grid(observed)]
+        return list(chain.from_iterable(self.groups(observed)))
 
 
 @runtime_checkable

@@ -3,6 +3,7 @@ lost samples."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -51,9 +52,9 @@ class _BiasStep(Shaped):
     def at(self, observed: Observed, value: float) -> Variant:
         return self._from(observed, value, np.ones((len(observed.time), 1)))
 
-    def variants(self, observed: Observed) -> list[Variant]:
+    def groups(self, observed: Observed) -> Iterator[list[Variant]]:
         ones = np.ones((len(observed.time), 1))
-        return [self._from(observed, float(value), ones) for value in self.grid(observed)]
+        yield [self._from(observed, float(value), ones) for value in self.grid(observed)]
 
     def _from(self, observed: Observed, value: float, ones: Array) -> Variant:
         unit, factor, natural = _SCALES[self.kind]
@@ -92,9 +93,9 @@ class MountShift(Shaped):
     def at(self, observed: Observed, value: float) -> Variant:
         return self._from(observed, value, _both_signs(observed))
 
-    def variants(self, observed: Observed) -> list[Variant]:
+    def groups(self, observed: Observed) -> Iterator[list[Variant]]:
         felt = _both_signs(observed)
-        return [self._from(observed, float(value), felt) for value in self.grid(observed)]
+        yield [self._from(observed, float(value), felt) for value in self.grid(observed)]
 
     @staticmethod
     def _from(observed: Observed, value: float, felt: Array) -> Variant:
@@ -156,10 +157,10 @@ class SamplesDropped(Shaped):
     def at(self, observed: Observed, value: float) -> Variant:
         return self._from(observed, value, self._shown(observed))
 
-    def variants(self, observed: Observed) -> list[Variant]:
+    def groups(self, observed: Observed) -> Iterator[list[Variant]]:
         grid = self.grid(observed)
         shown = self._shown(observed) if len(grid) else np.empty((0, 0))
-        return [self._from(observed, float(value), shown) for value in grid]
+        yield [self._from(observed, float(value), shown) for value in grid]
 
     @staticmethod
     def _from(observed: Observed, value: float, shown: Array) -> Variant:

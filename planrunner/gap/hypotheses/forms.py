@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.interface import Curved, CurvedAndShaped, Effect, Shaped, is_whole, ways_of
+from planrunner.error_model.effects.interface import Curved, CurvedAndShaped, Effect, Shaped, Variant, is_whole, ways_of
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import RANGE, log_mean_exp
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
@@ -33,7 +33,14 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
     if not effects:
         return []
     ways = [way for effect in effects for way in ways_of(effect)]
-    forms, blocks = zip(*(weighing.projected(way.variants(weighing.observed)) for way in ways), strict=True)
+    forms: list[list[Variant]] = []
+    blocks = []
+    for way in ways:
+        forms.append([])
+        for few in way.groups(weighing.observed) if isinstance(way, Shaped) else [way.variants(weighing.observed)]:
+            without_samples, coefficients = weighing.projected(few)
+            forms[-1] += without_samples
+            blocks.append(coefficients)
     raw = [np.hstack(channel) for channel in zip(*blocks, strict=True)]
     weighed = iter(weighing.weigh([variant for form in forms for variant in form], raw))
     found = iter(
