@@ -80,6 +80,14 @@ def write_blanks(folder: Path) -> str:
     return keys + columns({"x": "a", "z": "c"})
 
 
+def write_blanks_after_remarks(folder: Path) -> str:
+    np.savetxt(
+        folder / "r.log", np.column_stack([TIME, RATE]), fmt="%14.8f", header="device 7\n t  x  y  z", comments=""
+    )
+    keys = "file: r.log\nformat: {type: text, separator: blanks, skip: 1}\ntime: {column: t}\n"
+    return keys + columns({"x": "x", "z": "z"})
+
+
 def write_after_remarks(folder: Path) -> str:
     """Lines of name,value before the header, in UTF-16."""
     lines = ["device,7", "range,250", "t,x,y,z"] + [
@@ -213,6 +221,7 @@ WRITERS = (
     write_json_columns,
     write_semicolons,
     write_blanks,
+    write_blanks_after_remarks,
     write_after_remarks,
     write_binary,
     write_matlab,

@@ -462,6 +462,16 @@ def ros_folder(folder: Path) -> Path:
     return bag
 
 
+def packed(write: Write, name: str) -> Write:
+    def pack(folder: Path) -> Path:
+        file = write(folder)
+        (folder / name).write_bytes(gzip.compress(file.read_bytes(), 1))
+        file.unlink()
+        return folder / name
+
+    return pack
+
+
 CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "vectornav": (vectornav, None, "rad/s", "m/s^2"),
     "sbg": (sbg, "us", "deg/s", "m/s^2"),
@@ -523,6 +533,10 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
     ),
     "ros 2": (ros_bag("r.mcap", ros_bytes.mcap, ros_bytes.imu_in_cdr), "s", "rad/s", "m/s^2"),
     "ros 2 as a folder": (ros_folder, "s", "rad/s", "m/s^2"),
+    "sbg, packed": (packed(sbg, "r.txt.gz"), "us", "deg/s", "m/s^2"),
+    "excel, packed": (packed(excel, "r.gz"), "s", "deg/s", "mg"),
+    "savetxt, packed": (packed(commented_names, "r.csv.gz"), "s", "rad/s", "m/s^2"),
+    "movella, packed": (packed(movella, "r.log.gz"), "us", "deg/s", "m/s^2"),
     "json lines": (json_lines, DATE, "rad/s", "m/s^2"),
     "json list": (json_list("r.log"), "ms", "deg/s", "g"),
     "json document": (json_list("r.json", {"device": {"serial": "7", "axes": [1, 2, 3]}}), "ms", "deg/s", "g"),
@@ -644,7 +658,18 @@ def written(content: bytes) -> Write:
         (thousands, "'85,000.000' in column 'time_ms' is not a number; write numbers without thousands separators"),
         (sensors_apart, "'gyroscope.x' and 'accelerometer.x' have no readings at the same time"),
         (readings_twice, "row 100 (line 101): the time of 'gyro_z' does not increase: 0.32 s after 0.32 s"),
-        (written(gzip.compress(b"t,gx\n")), "is a compressed file: unpack it first"),
+        (
+            written(gzip.compress(b"t,gx\n")),
+            "has no lines of numbers in its first 65536 bytes; its first line is 't,gx'",
+        ),
+        (
+            written(gzip.compress(b"PK\x03\x04")),
+            "is a compressed file, but contains no table of text: unpack it first (gzip)",
+        ),
+        (written(gzip.compress(ros_bytes.bag_of_ros1([]))), "is a compressed file, but contains no table of text"),
+        (written(gzip.compress(bytes(range(9)))), "is a compressed file, but contains no table of text"),
+        (written(gzip.compress(b"t,gx\n" * 99)[:-20]), "r.log cannot be unpacked: it ends too early"),
+        (written(b"BZh91AY&SY"), "is a compressed file: unpack it first (bzip2)"),
         (
             written(b"PK\x03\x04" + bytes(200)),
             "is an archive or an Excel workbook: unpack it first, or rename the workbook",

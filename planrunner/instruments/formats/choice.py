@@ -73,7 +73,10 @@ def usual_format(path: Path) -> str | None:
     """Returns the format that the extension of the file name determines, or that a folder has; None if there is no such format."""
     if path.is_dir() and (path / METADATA).is_file():
         return "rosbag"
-    return ENDINGS.get(path.suffix.lower())
+    kind = ENDINGS.get(path.suffix.lower())
+    if path.suffix.lower() == ".gz" and ENDINGS.get(Path(path.stem).suffix.lower()) == "text":
+        return "text"
+    return kind
 
 
 class Format(Record):

@@ -29,6 +29,7 @@ from planrunner.instruments.formats.file import AnyFile, NoKeys, TimeStamps, ope
 from planrunner.instruments.formats.json_samples import JsonFile, JsonKeys
 from planrunner.instruments.formats.long import LongFile, ReadingColumns
 from planrunner.instruments.formats.novatel import is_raw_imu
+from planrunner.instruments.formats.packed import GZIP, open_text
 from planrunner.instruments.formats.text import MAX_HEADER, SEPARATORS, TextFile, TextKeys
 from planrunner.instruments.formats.workbook import WorkbookKeys, open_workbook, sheet_rows
 from planrunner.instruments.interfaces import InstrumentError
@@ -212,7 +213,6 @@ class Guess:
 _COUNTED = TimeStamps(None, period=1.0)
 """The time of a file in which the column of the time is not known yet."""
 _REFUSED = (
-    ("a compressed file", b"\x1f\x8b", "unpack it first (gzip)"),
     ("a compressed file", b"BZh", "unpack it first (bzip2)"),
     ("a compressed file", b"\xfd7zXZ", "unpack it first (xz)"),
     (
@@ -242,18 +242,20 @@ def guessed_format(path: Path, name: str) -> Format | None:
         return None
     with open_samples(path, name) as file:
         start = file.read(MAX_HEADER)
-    for what, magic, advice in _REFUSED:
-        if start.startswith(magic):
-            raise InstrumentError(f"{name} is {what}: {advice}")
-    if start.startswith(dataflash.BINARY) or re.match(dataflash.TEXT, start):
-        return Format(type="dataflash", parameters=dataflash.DataflashKeys())
-    if start.startswith((ROS1_MAGIC, MCAP_MAGIC)):
-        return Format(type="rosbag", parameters=NoKeys())
-    if is_raw_imu(start):
-        return Format(type="novatel", parameters=NoKeys())
-    if _JSON.match(start):
-        return Format(type="json", parameters=JsonKeys())
-    if start.startswith((b"\xff\xfe", b"\xfe\xff")):
+    packed = start.startswith(GZIP)
+    if packed:
+        with open_text(path, name) as file:
+            start = file.read(MAX_HEADER)
+    refused = next(((what, advice) for what, magic, advice in _REFUSED if start.startswith(magic)), None)
+    recognised = _recognised(start)
+    utf_16 = start.startswith((b"\xff\xfe", b"\xfe\xff"))
+    if packed and (refused or recognised or (b"\0" in start and not utf_16)):
+        raise InstrumentError(f"{name} is a compressed file, but contains no table of text: unpack it first (gzip)")
+    if refused:
+        raise InstrumentError(f"{name} is {refused[0]}: {refused[1]}")
+    if recognised:
+        return recognised
+    if utf_16:
         keys = _text_keys(start.decode("utf-16", "ignore").lstrip("\ufeff"), "utf-16")
     elif b"\0" in start:
         raise InstrumentError(
@@ -273,6 +275,17 @@ def guessed_format(path: Path, name: str) -> Format | None:
             f"{message}. Write it as a table with one line for each sample, and only numbers after the header"
         )
     return None if keys == TextKeys() and kind == "text" else Format(type="text", parameters=keys)
+
+
+def _recognised(start: bytes) -> Format | None:
+    """Returns the format of a file that is no table of text, if the start of the file shows the format."""
+    if start.startswith(dataflash.BINARY) or re.match(dataflash.TEXT, start):
+        return Format(type="dataflash", parameters=dataflash.DataflashKeys())
+    if start.startswith((ROS1_MAGIC, MCAP_MAGIC)):
+        return Format(type="rosbag", parameters=NoKeys())
+    if is_raw_imu(start):
+        return Format(type="novatel", parameters=NoKeys())
+    return Format(type="json", parameters=JsonKeys()) if _JSON.match(start) else None
 
 
 def _sheet_of_samples(path: Path, name: str) -> Format:
@@ -562,7 +575,7 @@ def stated_rates(path: Path, name: str, given: Format | None) -> tuple[StatedRat
     Lines that are about filters or about other instruments are left out. Raises `InstrumentError` if the file cannot be opened."""
     if given is None or not isinstance(given.parameters, TextKeys):
         return ()
-    with open_samples(path, name) as file:
+    with open_text(path, name) as file:
         lines = file.read(MAX_HEADER).decode(given.parameters.encoding, "replace").splitlines()[: given.parameters.skip]
     found: list[StatedRate] = []
     for line in lines:

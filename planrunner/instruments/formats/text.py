@@ -20,8 +20,8 @@ from planrunner.instruments.formats.file import (
     SampleRows,
     TimeStamps,
     few_columns,
-    open_samples,
 )
+from planrunner.instruments.formats.packed import open_text, text_size
 from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.kinds import Choice, ListOf, Number, Record, Text, key
 from planrunner.plan.span import Span
@@ -126,9 +126,9 @@ class TextFile(FormatFile[TextKeys]):
         return super().place(row) if line is None else f"{super().place(row)} (line {line})"
 
     def rows_about(self) -> int:
-        with open_samples(self.path, self.name) as file:
+        with open_text(self.path, self.name) as file:
             start = file.read(MAX_HEADER)
-            return file.seek(0, 2) * start.count(b"\n") // max(len(start), 1)
+        return text_size(self.path, self.name, MAX_HEADER) * start.count(b"\n") // max(len(start), 1)
 
     def batches(self, span: Span) -> Iterator[tuple[int, SampleRows]]:
         self._wrong.clear()
@@ -164,7 +164,7 @@ class TextFile(FormatFile[TextKeys]):
         return self._other_separator(known[0] if len(known) == 1 else "") or closest(column, known)
 
     def unreadable(self, error: Exception) -> InstrumentError:
-        with open_samples(self.path, self.name) as file:
+        with open_text(self.path, self.name) as file:
             start = file.read(MAX_HEADER).decode(self.parameters.encoding, "replace")
         header = "".join(start.splitlines()[self.parameters.skip :][:1])
         other = None if self.parameters.delimiter in header else self._other_separator(header)
@@ -194,7 +194,7 @@ class TextFile(FormatFile[TextKeys]):
         )
         parse = arrow_csv.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=self._left_out)
         try:
-            with open_samples(self.path, self.name) as file:
+            with open_text(self.path, self.name) as file:
                 text = self._text(file)
                 options = arrow_csv.ReadOptions(
                     block_size=BLOCK,
@@ -259,7 +259,7 @@ class TextFile(FormatFile[TextKeys]):
         be read."""
         layout = self.parameters
         encoding = "utf-8-sig" if layout.encoding == "utf-8" else layout.encoding
-        with open_samples(self.path, self.name) as opened:
+        with open_text(self.path, self.name) as opened:
             stream = io.BufferedReader(Blanks(opened, layout.skip)) if layout.separator == "blanks" else opened
             with io.TextIOWrapper(stream, encoding, newline="") as file:
                 for _ in range(layout.skip):
@@ -269,12 +269,13 @@ class TextFile(FormatFile[TextKeys]):
 
 class Blanks(io.RawIOBase):
     """Reads a text in which each sequence of blanks and tabs becomes one tab. Blanks and tabs at the ends of a line are removed.
-    The first `skip` lines are not changed, because they must remain separate lines."""
+    The first `skip` lines are not changed, because they must remain separate lines. They are read together with the lines after them,
+    because the parser needs a line of the table in the first piece."""
 
     def __init__(self, file: BinaryIO, skip: int = 0):
         self._file = file
-        self._kept = b""
-        self._ready = b"".join(file.readline(MAX_HEADER) for _ in range(skip))
+        self._kept = self._ready = b""
+        self._skipped = b"".join(file.readline(MAX_HEADER) for _ in range(skip))
 
     def readable(self) -> bool:
         return True
@@ -284,12 +285,13 @@ class Blanks(io.RawIOBase):
             more = self._file.read(1 << 20)
             if not more:
                 whole, self._kept = self._kept, b""
-                if not whole:
+                if not whole and not self._skipped:
                     return 0
             else:
                 whole, end, rest = (self._kept + more).rpartition(b"\n")
                 whole, self._kept = whole + end, rest
-            self._ready = _BLANKS.sub(b"\t", _EDGES.sub(b"", whole))
+            self._ready = self._skipped + _BLANKS.sub(b"\t", _EDGES.sub(b"", whole))
+            self._skipped = b""
         count = min(len(buffer), len(self._ready))
         buffer[:count] = self._ready[:count]
         self._ready = self._ready[count:]
