@@ -191,7 +191,7 @@ def test_every_form_gives_the_numbers_that_were_written(
     np.testing.assert_allclose(found["/imu.receive_time"] - time, 0.002, atol=3e-7)
     unclosed = "not closed" in form or "active" in form
     assert file.remarks == (
-        ("the bag was not closed after recording; all messages that are complete are read",) * unclosed
+        ("messages that the recorder had not written yet, because the bag was not closed",) * unclosed
     )
     assert file.rows_about() == COUNT
 
@@ -496,6 +496,22 @@ def test_two_types_on_one_topic(tmp_path: Path) -> None:
     assert "its messages have two types, sensor_msgs/msg/Imu and std_msgs/msg/Float64" in refusal(opened(path))
 
 
+def test_definitions_that_differ_only_in_comments(tmp_path: Path) -> None:
+    """Two publishers of a topic, one of which has comments and line ends of Windows in its definition."""
+    other = ros_bytes.IMU_1.replace("\n", " # in SI units\r\n", 5).replace(
+        "orientation\n", "orientation  # x, y, z, w\n", 1
+    )
+    for definition, is_fine in ((other, True), (ros_bytes.IMU_1.replace("float64[9]", "float64[3]", 1), False)):
+        whole = ros_bytes.bag_of_ros1(ROS1[:200], definition=definition, closed=False)
+        second = ros_bytes.connection(1, "/imu", "sensor_msgs/Imu", ros_bytes.IMU_1)
+        rest = b"".join(ros_bytes.message(1, *one) for one in ROS1[200:])
+        file = opened(put("r.bag", whole + ros_bytes.chunk(second + rest))(tmp_path))
+        if is_fine:
+            np.testing.assert_array_equal(read(file)[1][CHANNELS[0]], ros_bytes.truth(COUNT)[:, 0])
+        else:
+            assert "the bag contains two definitions of its type sensor_msgs/Imu" in refusal(file)
+
+
 def test_the_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     said = refusal(opened(FORMS["ros 1, by hand"](tmp_path)))
@@ -523,7 +539,7 @@ def test_a_bag_that_is_cut_is_read_up_to_there_or_refused(tmp_path: Path, name: 
     kept = len(found[CHANNELS[0]])
     np.testing.assert_array_equal(found[CHANNELS[0]], ros_bytes.truth(COUNT)[:kept, 0])
     assert kept >= 0.9 * share * COUNT - 100
-    assert file.remarks and "all messages" in file.remarks[0]
+    assert file.remarks and "incomplete" in file.remarks[-1]
 
 
 @pytest.mark.parametrize("packed", [False, True])
@@ -536,10 +552,10 @@ def test_a_bag_whose_recorder_was_killed(tmp_path: Path, packed: bool) -> None:
     _, found = read(file)
     kept = 200 if packed else 249
     np.testing.assert_array_equal(found[CHANNELS[0]], ros_bytes.truth(250)[:kept, 0])
-    assert [one.partition(";")[0] for one in file.remarks] == [
-        "the bag was not closed after recording",
-        "the file ends within a record",
-    ]
+    assert file.remarks == (
+        "messages that the recorder had not written yet, because the bag was not closed",
+        "an incomplete record at the end of the file",
+    )
 
 
 def test_a_database_that_is_cut_is_refused(tmp_path: Path) -> None:
@@ -565,7 +581,7 @@ def test_a_database_with_a_log_of_changes(tmp_path: Path) -> None:
     path.with_name("r.db3-wal").write_bytes(b"x")
     file = opened(path)
     read(file)
-    assert file.remarks == ("the bag was not closed; the messages in r.db3-wal are not read",)
+    assert file.remarks == ("the messages in r.db3-wal, because the bag was not closed",)
 
 
 @pytest.mark.parametrize(

@@ -41,7 +41,7 @@ ROS1_MAGIC = b"#ROSBAG V"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\x00"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_NOT_CLOSED = "the bag was not closed after recording; all messages that are complete are read"
+_NOT_CLOSED = "messages that the recorder had not written yet, because the bag was not closed"
 
 _MALFORMED = (struct.error, UnicodeDecodeError, IndexError, KeyError)
 """Exceptions for a record whose form is wrong."""
@@ -73,10 +73,16 @@ class Topic:
         problem = self.problem or other.problem
         if not problem and self.type != other.type:
             problem = f"its messages have two types, {self.type} and {other.type}"
-        if not problem and self.definition and other.definition and self.definition != other.definition:
+        if not problem and self.definition and other.definition and not _alike(self.definition, other.definition):
             problem = f"the bag contains two definitions of its type {self.type}"
         definition = self.definition or other.definition
         return replace(self, definition=definition, count=self.count + other.count, problem=problem)
+
+
+def _alike(one: str, other: str) -> bool:
+    """Returns True if two definitions differ only in comments and blanks, as the definitions of two versions of ROS may do."""
+    words = [[line.partition("#")[0].split() for line in text.splitlines()] for text in (one, other)]
+    return one == other or list(filter(None, words[0])) == list(filter(None, words[1]))
 
 
 def _shown(text: str, most: int) -> str:
@@ -93,8 +99,8 @@ class _CutError(Exception):
 
 
 class BagFile(ABC):
-    """A file of a bag, or all files of a bag. `name`: name of the file, used in messages. `remarks`: remarks about messages that
-    were not read."""
+    """A file of a bag, or all files of a bag. `name`: name of the file, used in messages. `remarks`: what was left
+    out, in words."""
 
     def __init__(self, path: Path, name: str):
         self.path, self.name = path, name
@@ -334,7 +340,7 @@ class _RecordsFile(BagFile):
                 # the recorder was stopped while it wrote this record, so its size, or the size of its chunk, is missing
                 if not isinstance(error, _CutError) and _NOT_CLOSED not in self.remarks:
                     raise
-                self._remark("the file ends within a record; all messages before this record are read")
+                self._remark("an incomplete record at the end of the file")
                 return
             if record.kind == self.END:
                 return
@@ -582,7 +588,7 @@ class _Database(BagFile):
                 self._topics = self._read(connection)
             log = self.path.with_name(f"{self.path.name}-wal")
             if log.is_file() and log.stat().st_size:
-                self._remark(f"the bag was not closed; the messages in {log.name} are not read")
+                self._remark(f"the messages in {log.name}, because the bag was not closed")
         return self._topics
 
     def _read(self, connection: sqlite3.Connection) -> dict[str, Topic]:

@@ -126,7 +126,7 @@ def message_type(name: str, text: str, *, is_cdr: bool) -> MessageType:
     if len(text) > MAX_DEFINITION:
         raise UnreadableTypeError(f"has a definition of more than {MAX_DEFINITION} characters")
     try:
-        parsed = get_types_from_msg(text, name)
+        parsed = get_types_from_msg(text.replace("\r\n", "\n"), name)
     except (TypesysError, RecursionError, AssertionError, ValueError, OverflowError):
         raise UnreadableTypeError("has a definition that is not in the form of a .msg file of ROS") from None
     return MessageType(usual, _fields_of(parsed), is_cdr)

@@ -189,7 +189,7 @@ class RosbagFile(FormatFile[NoKeys]):
             made = _Contents(open_bag(self.path, self.name))
             if not any(one.count for one in made.topics.values()):
                 raise InstrumentError(
-                    f"{self.name} contains no messages{''.join(f'; {one}' for one in made.bag.remarks)}"
+                    f"{self.name} contains no messages{''.join(f'; left out: {one}' for one in made.bag.remarks)}"
                 )
             try:
                 import rosbags.typesys  # noqa: F401
