@@ -225,7 +225,7 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
         if abs(one.value) - _CLEARLY * one.standard_uncertainty <= bound:
             continue
         what = f"{one.effect} {one.name} is {rounded(one.value, one.standard_uncertainty)} {one.unit}, {abs(one.value) / bound:.2g} times"
-        hint = "check the unit and its configuration, and the sign, unit and axis of the channel in the bench file"
+        hint = "check the sensor and its configuration, and the sign, unit and axis of the channel in the bench file"
         if specification is not None and one.effect in limits:
             place = specification.at(one.effect if one.effect in specification.origin.keys else "grade")
             log.warning("gap-specification", place, f"{what} its specification of ±{bound:.4g} {one.unit}", hint)

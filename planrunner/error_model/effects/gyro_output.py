@@ -20,7 +20,7 @@ _SHORT = 1e-6  # s, a delay so short that the secant equals the tangent
 def _frequencies(tau: float) -> Mapping[str, str]:
     """Returns the bandwidth 1/(2πτ) of a first-order lag, and the frequency at which the phase of its output lags by one degree."""
     bandwidth = 1 / (2 * np.pi * max(abs(tau), 1e-9))
-    return {"bandwidth": f"{bandwidth:.3g} Hz", "slow": f"{bandwidth * np.tan(DEG):.2g} Hz"}
+    return {"bandwidth": f"{bandwidth:.3g} Hz", "frequency": f"{bandwidth * np.tan(DEG):.2g} Hz"}
 
 
 class GyroBandwidth(Shaped):
@@ -32,7 +32,7 @@ class GyroBandwidth(Shaped):
         "gyro output lags behind the rate",
         "A low-pass filter of first order attenuates and delays the output of the gyros when the rate changes.",
         Actor.SENSOR,
-        "Raise the bandwidth of the gyros (it is {bandwidth}), or rock at {slow} or slower, so that the phase lag is "
+        "Raise the bandwidth of the gyros (it is {bandwidth}), or rock at {frequency} or slower, so that the phase lag is "
         "below 1 deg: {found}.",
         _frequencies,
     )
