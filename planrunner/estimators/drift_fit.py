@@ -101,7 +101,8 @@ class FittedDrift:
     drift explains. `without` and `explained` are None if no drift function was adopted. `suspected`: the suspected drift functions,
     if none was adopted. `rivals`: drift functions that the data show, but that are not adopted because a nonlinearity explains the
     residuals equally well. `nonlinear`: array of shape (m,), the fraction of the sum of squared residuals that the nonlinearity
-    explains. `doubted`: the doubted drift functions; no two of them are proportional to each other.
+    explains. `doubted`: the doubted drift functions; no two of them are proportional to each other. The docstring of
+    the module explains the words suspected and doubted.
     """
 
     courses: tuple[DriftCourse, ...] = ()
