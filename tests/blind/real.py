@@ -1,8 +1,10 @@
 """Real noise behind simulated motion: recordings of sensors at rest, made by nobody here, stand in for drawn noise.
 
 Each background is a stretch of samples in which a sensor of `../shared/data` did not move. Drift slower than `SLOW` is taken out, because
-it may be an effect of the catalogue, a warm-up say, of which no label would know. Each channel is scaled to the common level of its triad.
-Nothing else is changed, so lines, anti-correlated rounding, counts, flicker and spikes remain. Declared is what a laboratory would read
+it may be an effect of the catalogue, a warm-up say, of which no label would know. Without it, however, the noise would have less slow
+parts than any sensor's. A drift drawn at random therefore takes its place; its polynomials are as large as the next higher ones of the
+recording. Each channel is scaled to the common level of its triad. Nothing else is changed, so lines, anti-correlated rounding, counts,
+flicker and spikes remain. Declared is what a laboratory would read
 off such a recording: the scatter of single samples as white noise, and the minimum of the Allan deviation as bias instability.
 
 A case takes consecutive samples from a place drawn at random. The recordings are short, so the noise of different cases overlaps.
@@ -17,6 +19,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from tests.blind.device import SENSORS, Sensor, Triad
 from tests.blind.motion import Array, Schedule
@@ -32,6 +35,8 @@ FLICKER_FLOOR = 0.664  # minimum of the Allan deviation of flicker noise ÷ its 
 class Background:
     """Noise of a sensor at rest, shape (n, 3 or 6) in °/s and m/s², scaled to one level a triad; the count of each channel.
 
+    slow: shape (n, d), the polynomials that were taken out, each of length 1. sizes: shape (d, 3 or 6), the standard deviations of those
+    that take their place.
     lattice: °/s, spacing of the values that the gyros' noise takes, where it is wider than their count. Such noise does not dither counts
     of a similar size: the rounding errors of its few values do not average out.
     """
@@ -39,6 +44,8 @@ class Background:
     sampling: float
     values: Array
     steps: Array
+    slow: Array
+    sizes: Array
     lattice: float = 0.0
 
     def cut(self, count: int, rng: np.random.Generator) -> Array:
@@ -51,7 +58,10 @@ class Background:
         if spare < 0:
             raise ValueError(f"{count} samples are wanted of a recording of {len(self.values)}")
         first = int(rng.integers(spare + 1))
-        return self.values[first : first + count] + self.steps * rng.uniform(-0.5, 0.5, (count, len(self.steps)))
+        drift = self.slow[first : first + count] @ (self.sizes * rng.standard_normal(self.sizes.shape))
+        return (
+            self.values[first : first + count] + drift + self.steps * rng.uniform(-0.5, 0.5, (count, len(self.steps)))
+        )
 
 
 def allan_deviation(values: Array, samples: int) -> Array:
@@ -62,10 +72,28 @@ def allan_deviation(values: Array, samples: int) -> Array:
     return np.sqrt(np.mean(steps**2, axis=0) / 2)
 
 
+def _polynomials(count: int, degrees: range) -> Array:
+    """Legendre polynomials of these degrees, each of length 1, shape (count, d)."""
+    columns = np.polynomial.legendre.legvander(np.linspace(-1, 1, count), degrees.stop - 1)
+    whole, _ = np.linalg.qr(columns)
+    return np.asarray(whole[:, degrees.start :])
+
+
+def _degree(piece: Array, sampling: float) -> int:
+    return round(len(piece) / sampling / SLOW)
+
+
 def _without_drift(piece: Array, sampling: float) -> Array:
-    degree = round(len(piece) / sampling / SLOW)
-    columns = np.polynomial.legendre.legvander(np.linspace(-1, 1, len(piece)), degree)
-    return piece - columns @ np.linalg.lstsq(columns, piece, rcond=None)[0]
+    columns = _polynomials(len(piece), range(_degree(piece, sampling) + 1))
+    return piece - columns @ (columns.T @ piece)
+
+
+def _sizes(piece: Array, sampling: float) -> Array:
+    """Root mean square, of each triad alike, of as many polynomials as were taken out, from the next higher degree on."""
+    degree = _degree(piece, sampling)
+    next_ones = _polynomials(len(piece), range(degree + 1, 2 * degree + 1)).T @ piece
+    level = np.sqrt(np.mean(next_ones.reshape(degree, -1, 3) ** 2, axis=(0, 2)))
+    return np.tile(np.repeat(level, 3), (degree, 1))
 
 
 def _scaled(sampling: float, pieces: list[Array], lattice: float = 0.0) -> Background:
@@ -74,7 +102,9 @@ def _scaled(sampling: float, pieces: list[Array], lattice: float = 0.0) -> Backg
     level = values.std(axis=0)
     common = np.repeat([np.sqrt(np.mean(triad**2)) for triad in level.reshape(-1, 3)], 3)
     scale = common / level
-    return Background(sampling, values * scale, counts * scale, lattice * float(scale[:3].max()))
+    slow = block_diag(*[_polynomials(len(piece), range(1, _degree(piece, sampling) + 1)) for piece in pieces])
+    sizes = np.vstack([_sizes(piece * scale, sampling) for piece in pieces])
+    return Background(sampling, values * scale, counts * scale, slow, sizes, lattice * float(scale[:3].max()))
 
 
 def _mpu6050() -> Background:

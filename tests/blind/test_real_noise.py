@@ -38,6 +38,21 @@ def test_a_cut_keeps_the_noise_of_the_recording(name: str) -> None:
         found.cut(len(whole) + 1, np.random.default_rng(1))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mpu6050", "ring_laser", "beside_a_turning_one"])
+def test_no_slow_part_of_the_noise_is_missing(name: str) -> None:
+    """The slowest cosines of the noise are as large as the next slower ones, within what a few random numbers allow."""
+    found = real.background(name)
+    ratios = []
+    for seed in range(40):
+        piece = found.cut(len(found.values), np.random.default_rng(seed))
+        energy = (real._polynomials(len(piece), range(1, 11)).T @ piece) ** 2
+        ratios.append(energy[:4].mean(axis=0) / energy[4:].mean(axis=0))
+    without = (real._polynomials(len(found.values), range(1, 11)).T @ found.values) ** 2
+    assert np.mean(without[:4], axis=0).sum() < 0.3 * np.mean(without[4:], axis=0).sum()
+    assert 0.4 < np.exp(np.mean(np.log(np.array(ratios).mean(axis=0)))) < 2.5
+
+
 def test_noise_on_a_lattice_gets_no_coarser_count_of_its_order() -> None:
     """The gyros of the ring-laser IMU read multiples of one value. Rounding them to counts of that order gives errors that depend on the
     signal and that a mean keeps; noise of the other sensors dithers such counts."""

@@ -36,6 +36,7 @@ from planrunner.error_model.effects.interface import Effect
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
 from planrunner.gap.evidence.weighing import DEPENDENT, ChannelWeights
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.forms import OnOthers
 from planrunner.gap.hypotheses.operating_point import OperatingPoint, on_output, operating_point
 
 FOLDS = 4
@@ -134,8 +135,8 @@ class FoldChoice:
 
     `effect`: name of the effect or set. `raw`: for each channel, the columns (M, p) of the form in magnitudes, not whitened.
     `widths`: number of columns of each effect. `probability`: probability that this form is the whole cause. `prior`: log prior
-    probability of this form among the forms of the same effect, up to a constant. `whole`: True if the amplitude is fixed at 1 and
-    not fitted. `point`: for effects on the output, how they change with the nominal parameters.
+    probability of this form among the forms of the same effect, up to a constant. `fixed`: the columns whose amplitude physics fixes
+    at 1, so that it is not fitted. `point`: for effects on the output, how they change with the nominal parameters.
     """
 
     effect: str
@@ -143,19 +144,36 @@ class FoldChoice:
     widths: tuple[int, ...]
     probability: float
     prior: float = 0.0
-    whole: bool = False
+    fixed: tuple[int, ...] = ()
     point: OperatingPoint | None = field(default=None, repr=False)
+
+    @property
+    def free(self) -> list[int]:
+        """Returns the numbers of the columns whose amplitudes are fitted."""
+        return [column for column in range(sum(self.widths)) if column not in self.fixed]
 
     def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
         """Computes mean (p,) and covariance (p, p) of the amplitudes from the score (p,) and the information (p, p)."""
-        if self.whole:
-            return np.ones(1), np.zeros((1, 1))
-        return best_amplitudes(gram, score, self.widths)
+        mean: Array = np.ones(len(score))
+        covariance, free = np.zeros_like(gram), self.free
+        if len(free):
+            widths = [width for width, first in self._starts() if width > 1 or first not in self.fixed]
+            left = score[free] - gram[free][:, list(self.fixed)].sum(axis=1)
+            mean[free], covariance[np.ix_(free, free)] = best_amplitudes(gram[np.ix_(free, free)], left, widths)
+        return mean, covariance
 
     def log_bayes(self, gram: Array, score: Array) -> float:
-        if self.whole:
-            return float(score[0] - 0.5 * gram[0, 0])
-        return float(log_bayes_factors(gram[None], score[None], float(np.trace(gram)))[0])
+        """Computes the log Bayes factor of the choice from the score (p,) and the information (p, p) of its amplitudes."""
+        fixed, free = list(self.fixed), self.free
+        found = float(score[fixed].sum() - 0.5 * gram[fixed][:, fixed].sum())
+        if len(free):
+            own, left = gram[np.ix_(free, free)], score[free] - gram[free][:, fixed].sum(axis=1)
+            found += float(log_bayes_factors(own[None], left[None], float(np.trace(own)))[0])
+        return found
+
+    def _starts(self) -> list[tuple[int, int]]:
+        """Returns the number of columns of each effect, and the number of its first column."""
+        return list(zip(self.widths, np.cumsum([0, *self.widths[:-1]]).tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -248,27 +266,40 @@ class _Fold:
 
 
 def choices_of(
-    weighing: Weighing, effect: str, members: Sequence[tuple[Weighed, Candidate]], probability: float
+    weighing: Weighing,
+    effect: str,
+    members: Sequence[tuple[Weighed, Candidate]],
+    probability: float,
+    acting: tuple[int, OnOthers] | None = None,
 ) -> list[FoldChoice]:
     """Returns the choices for an effect or a set of effects. The first choice has the best form of each effect. In every other
     choice, one effect has another probable form instead of its best one. `members`: for each effect, its best form, and the
-    candidate with all forms of this effect."""
+    candidate with all forms of this effect. `acting`: an effect on the output which acts on the other effects, and its place among
+    the members; None if there is no such effect."""
     best = [form for form, _ in members]
     varied = [(best, 0.0)]
     for number, (form, candidate) in enumerate(members):
-        others = _probable_shapes(form, candidate)
+        others = _probable_shapes(form, candidate) if acting is None else []
         varied += [([*best[:number], other, *best[number + 1 :]], prior) for other, prior in others]
-    point = _operating_point(weighing, members)
+    widths = tuple(len(form.variant.columns) for form in best)
+    starts = np.cumsum([0, *widths[:-1]]).tolist()
+    fixed = tuple(start for start, form in zip(starts, best, strict=True) if form.held)
+    shares = [1 / len(varied)] * len(varied)
+    point = _operating_point(weighing, members) if acting is None else acting[1].point
+    if acting is not None:
+        varied = [([*best[: acting[0]], form, *best[acting[0] + 1 :]], 0.0) for form, _ in acting[1].forms]
+        shares = [share for _, share in acting[1].forms]
     return [
         FoldChoice(
             effect,
             tuple(np.hstack(blocks) for blocks in zip(*(form.raw for form in forms), strict=True)),
-            tuple(len(form.variant.columns) for form in forms),
-            probability / len(varied),
+            widths,
+            probability * share,
             prior,
-            point=point,
+            fixed,
+            point,
         )
-        for forms, prior in varied
+        for (forms, prior), share in zip(varied, shares, strict=True)
     ]
 
 
@@ -283,7 +314,7 @@ def whole_choices(
         likeliest, _ = max(shown, key=lambda one: one[1])
         shape = float(likeliest.variant.shape or 0.0)
         point = operating_point(weighing, acting, shape, [raw[:, 0] for raw in likeliest.raw])
-    return [FoldChoice(name, form.raw, (1,), probability * share, whole=True, point=point) for form, share in shown]
+    return [FoldChoice(name, form.raw, (1,), probability * share, fixed=(0,), point=point) for form, share in shown]
 
 
 def _operating_point(weighing: Weighing, members: Sequence[tuple[Weighed, Candidate]]) -> OperatingPoint | None:
@@ -411,7 +442,8 @@ def measured_noise(
     `log_bayes`: array of shape (G,), log Bayes factor of the effect at each setting of the noise. `walking`: True if a random walk
     of the gyros acts in addition; the random walk belongs to the gap, not to the noise. `explained`: True if the effect leaves only
     noise. If False, the residuals contain a part of the gap, so the measured noise is limited to the noise of the model. A level at
-    this limit shows only that the noise is not larger than the limit.
+    this limit shows only that the noise is not larger than the limit. The means also contain the random walk, so that their level
+    is then only a limit. The changes within the segments contain a small part of the random walk; its expected energy is subtracted.
     """
     gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
@@ -427,11 +459,43 @@ def measured_noise(
         for kind in KINDS:
             weights = _with_measured_flicker(weighing, choice, weights, group, kind)
     left = _left(weighing, choice, weights, group)
+    means = 2 * KINDS.index("gyro")
+    if walking:
+        left = _without_walk(weighing, left, log_bayes, weights, group, means)
     from scipy.stats import chi2
 
-    limits = (chi2.sf(left.squares, left.degrees) < EXCESS) & (not explained)
-    scale = np.sqrt(np.maximum(np.where(limits, 1.0, left.ratio), SMALLEST))
+    excess = chi2.sf(left.ratio * left.degrees, left.degrees) < EXCESS
+    limits = (excess | (walking & (np.arange(len(excess)) == means))) & (not explained)
+    scale = np.sqrt(np.maximum(np.where(limits, np.minimum(left.ratio, 1.0), left.ratio), SMALLEST))
     return MeasuredNoise(tuple(weights), tuple(scale[own] for own in group), group, left.degrees, limits)
+
+
+def _without_walk(
+    weighing: Weighing,
+    left: _Left,
+    log_bayes: Array,
+    weights: Sequence[ChannelWeights],
+    group: tuple[NDArray[np.int64], ...],
+    means: int,
+) -> _Left:
+    """Subtracts the expected energy of a random walk of the gyros from the residuals within the segments. The degrees of freedom of the
+    noise decrease, because the level of the random walk is uncertain. `log_bayes`: the same as in `measured_noise`. `means`: the noise
+    group of the means of the gyros."""
+    terms = (weighing.base + weighing.log_prior[1] + log_bayes).reshape(weighing.shape).max(axis=1)
+    share = np.exp(terms - terms.max())
+    gyros = weighing.observed.of_kind("gyro")
+    energy = [
+        sum(float(weighing.weights[c][k].walk_within @ weights[c].scale ** 2) for c in gyros)
+        for k in range(len(weighing.settings["gyro"]))
+    ]
+    within, share = means + 1, share / share.sum()
+    walked = float(share @ energy)
+    spread = float(share @ (np.array(energy) - walked) ** 2) + 2 * left.squares[within] ** 2 / left.degrees[within]
+    squares, degrees, ratio = left.squares.copy(), left.degrees.copy(), left.ratio.copy()
+    squares[within] = max(squares[within] - walked, SMALLEST * degrees[within])
+    ratio[within] = squares[within] / degrees[within]
+    degrees[within] = max(2 * squares[within] ** 2 / spread, 1.0)
+    return replace(left, squares=squares, degrees=degrees, ratio=ratio)
 
 
 @dataclass(frozen=True)
@@ -469,8 +533,8 @@ def _left(
     ratio = np.where(degrees > 1, squares / degrees, 1.0)
     evidence = -0.5 * sum(weight.log_det for weight in weights)
     evidence -= 0.5 * float(degrees @ np.log(np.maximum(ratio, SMALLEST)))
-    if covariance.any():
-        evidence += 0.5 * float(np.linalg.slogdet(covariance)[1])
+    if len(choice.free):
+        evidence += 0.5 * float(np.linalg.slogdet(covariance[np.ix_(choice.free, choice.free)])[1])
     return _Left(squares, degrees, ratio, float(evidence))
 
 

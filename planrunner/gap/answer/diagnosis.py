@@ -48,11 +48,10 @@ from planrunner.gap.answer.remainder import Remainder, dispersions, remainder
 from planrunner.gap.answer.sets import EffectSet, Member, key_of, together
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.answer.where import MisfitPlace, UnknownForm, places, unknown_form
-from planrunner.gap.hypotheses.candidates import FULL, Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.candidates import FULL, Candidate, Forms, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of, shape_alone, whole_forms
 from planrunner.observation.refusals import ObservationError
 
-Forms = list[tuple[Weighed, float]]
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
 _MOST_CHOICES = 30
@@ -326,7 +325,7 @@ def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
     """Maps the name of an effect that its shape determines completely to the forms of the effect. The result is empty for any other
     effect, and if no form explains the data better than no effect."""
     effect = shape_alone(candidate)
-    found = whole_forms(weighing, effect) if effect is not None else []
+    found = candidate.whole or (whole_forms(weighing, effect) if effect is not None else ())
     return {candidate.id: found} if found else {}
 
 
@@ -353,7 +352,8 @@ def _forms(
     if key in exact:
         return whole_choices(weighing, key, by_id[key].effect, exact[key], p)
     if key in found.sets:
-        return choices_of(weighing, key, [(member.form, member.candidate) for member in found.sets[key].members], p)
+        one = found.sets[key]
+        return choices_of(weighing, key, [(member.form, member.candidate) for member in one.members], p, one.on_others)
     if key not in by_id or by_id[key].best.trace <= 0:
         return []
     return choices_of(weighing, key, [(by_id[key].best, by_id[key])], p)
@@ -395,7 +395,14 @@ def _parameters(
         else:
             (member,) = (one for one in together.members if one.id == name)
             own = together.columns(name)
-            listed += estimates.amplitudes(weighing, name, together.weighed, own, walking, ratios)
+            acting = together.on_others
+            if acting is not None and together.members[acting[0]] is member and shaped is not None:
+                listed += estimates.wider(estimates.exact_shape(shaped, acting[1].forms), member.form, ratios)
+                continue
+            weights, columns = weighing, together.weighed
+            if acting is not None:
+                weights, columns = acting[1].weighed(weighing, columns)
+            listed += estimates.amplitudes(weights, name, columns, own, walking, ratios)
             listed += estimates.wider(estimates.shape(member.candidate), member.form, ratios)
     return listed
 

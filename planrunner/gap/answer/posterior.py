@@ -301,7 +301,7 @@ def _with_something_else(
         if weighed.excluded or found[key] < IMPERFECT * found[UNKNOWN]:
             continue
         amplitudes, _ = weighed.amplitudes_at(weighing.likeliest[0])
-        besides = something_else(weighing.beside(weighed), [raw @ amplitudes for raw in weighed.raw])
+        besides = something_else(weighing.beside(weighed), [raw @ amplitudes for raw in weighed.raw], found[key])
         made[key] = found[key] + besides + log_prior(key_of([*key.split("+"), UNKNOWN]), count)
         if besides < WORTH:
             break
@@ -315,8 +315,8 @@ def _as_named(
     weights.
 
     `more`: log weights of sets of effects in combination with something else. Each of these weights is divided among the probable
-    sets of the same size, in proportion to `named`. Sets with a random walk (`walk`) are excluded, because a random walk explains
-    the same part as something else.
+    sets of the same size, in proportion to `named`, if its own set is one of them. Sets with a random walk (`walk`) are excluded,
+    because a random walk explains the same part as something else.
     """
     whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
     made = {name: value for name, value in logs.items() if name in PRIORS}
@@ -329,7 +329,9 @@ def _as_named(
             if name.count("+") == size and share > 0 and walk not in name.split("+")
         }
         total = sum(alike.values())
-        likely = {name: share / total for name, share in alike.items() if share >= LIKELY * total} or {key: 1.0}
+        likely = {name: share / total for name, share in alike.items() if share >= LIKELY * total}
+        if key not in likely:  # the part beside this set says nothing about the part beside the others
+            likely = {key: 1.0}
         for name, share in likely.items():
             made[key_of([*name.split("+"), UNKNOWN])] = value + float(np.log(share))
     return made

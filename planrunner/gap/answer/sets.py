@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.interface import Shaped, Variant
+from planrunner.error_model.effects.interface import Curved, Shaped, Variant, is_whole
 from planrunner.gap.evidence.bayes_factors import (
     averaged,
     best_scales,
@@ -27,7 +27,8 @@ from planrunner.gap.evidence.bayes_factors import (
     set_log_evidence,
 )
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.forms import candidates_of
+from planrunner.gap.hypotheses.forms import BENT, OnOthers, candidates_of, columns_of, on_others
+from planrunner.gap.hypotheses.operating_point import on_output
 
 FIRST = 6  # number of effects from which pairs are formed: the likeliest
 WEIGHED = 10  # number of pairs evaluated in full, selected by a quick evaluation
@@ -37,6 +38,8 @@ MOST = 5  # effects in a set
 WORTHWHILE = float(np.log(100.0))  # a set less likely than a smaller one by more than this is not extended
 MATTERS = 12.0  # nats below the likeliest setting of the noise at which a setting is left out
 PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
+_ROUNDS = 4  # evaluations of an effect on the output together with other effects
+_SAME = 0.1  # standard uncertainties by which an amplitude may change and count as the same
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,8 @@ class EffectSet:
 
     `members`: the effects, in the order of their columns. `weighed`: the evaluation of all columns together. `log_bayes`: array of
     shape (G,), log Bayes factor at each setting of the noise. `evidence`: log evidence without a random walk of the gyros.
-    `walking`: log evidence with a random walk, −∞ if it was not evaluated.
+    `walking`: log evidence with a random walk, −∞ if it was not evaluated. `on_others`: an effect on the output which acts on the
+    other effects too, and its place among the members; None if there is no such effect.
     """
 
     members: tuple[Member, ...]
@@ -74,6 +78,7 @@ class EffectSet:
     log_bayes: Array = field(repr=False)
     evidence: float
     walking: float = -np.inf
+    on_others: tuple[int, OnOthers] | None = field(default=None, repr=False)
 
     @property
     def key(self) -> str:
@@ -109,8 +114,11 @@ def sets_of(
     """
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     quick, level = _pairs(weighing, usable)
-    full = {one.key: one for one in level}
     best = max((weighing.evidence(c.log_bayes) for c in usable), default=-np.inf) + prior(1)
+    if refit and level and max(one.evidence for one in level) + prior(2) > best + BENT:
+        level += _with_output(weighing, usable, max(one.evidence for one in level))
+    level.sort(key=lambda one: one.evidence)
+    full = {one.key: one for one in level}
     while level:
         level = sorted(level, key=lambda one: -one.evidence)
         count = len(level[0].members)
@@ -119,6 +127,7 @@ def sets_of(
         likely = level[:BEAM]
         if refit:
             likely[0] = _refitted(weighing, likely[0])
+            likely = sorted((_acting_on_others(weighing, one) for one in likely), key=lambda one: -one.evidence)
         if walks:
             likely[0] = _walking(weighing, likely[0])
         full |= {one.key: one for one in likely}
@@ -145,6 +154,28 @@ def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, f
     found = {key: declared + value for key, (value, _) in quick.items()}
     chosen = sorted(quick, key=lambda key: -quick[key][0])[:WEIGHED]
     return found, [_evaluated(weighing, quick[key][1]) for key in chosen]
+
+
+def _with_output(weighing: Weighing, usable: Sequence[Candidate], least: float) -> list[EffectSet]:
+    """Evaluates pairs of the most probable effect and an effect on the output. The effects on the output are evaluated at an output
+    that contains the most probable effect: an output that is close to zero without it, for example, may be outside of a dead zone with
+    it. Returns the pairs with an evidence of more than `least`."""
+    first = max(usable, key=lambda c: weighing.evidence(c.log_bayes))
+    acting = [c for c in usable if is_whole(c.best.variant.columns) and on_output(c.effect) is not None]
+    amplitudes, _ = weighing.amplitudes(first.best, walking=False)
+    columns = columns_of(weighing, first.effect, first.best, amplitudes)
+    if on_output(first.effect) is not None or not columns or not acting:
+        return []
+    found = []
+    for again in candidates_of(weighing.with_known(columns, amplitudes), [c.effect for c in acting]):
+        if np.isfinite(again.log_bayes).any():
+            (form,) = weighing.weigh([again.best.variant], again.best.raw)
+            members = Member.best(first), Member(again, replace(form, held=again.best.held), again.shape_cost)
+            if form.trace > 0:
+                found.append(_evaluated(weighing, members))
+    found.sort(key=lambda one: -one.evidence)
+    each = [_acting_on_others(weighing, one) for one in found[:BEAM]]
+    return [one for one in each if one.evidence > least]
 
 
 def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[Candidate]) -> list[EffectSet]:
@@ -181,7 +212,7 @@ def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
     if np.isfinite(one.walking) or not np.isfinite(weighing.log_prior[1]).any():
         return one
     log_bayes = _log_bayes(weighing, one.weighed, one.members, weighing.log_prior[1])
-    return EffectSet(one.members, one.weighed, one.log_bayes, one.evidence, weighing.evidence(log_bayes, walking=True))
+    return replace(one, walking=weighing.evidence(log_bayes, walking=True))
 
 
 def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], log_prior: Array) -> Array:
@@ -205,23 +236,77 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
 
 
 def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """Fits the shape of each effect again, together with the other effects of the set. A new shape is kept only if the evidence of
-    the set increases."""
+    """Fits the shape of each effect again, together with the other effects of the set, and computes the secants of strong nonlinear
+    effects at the amplitudes of the set. A new shape is kept only if the evidence of the set increases. A secant at the amplitude of
+    the set is more exact, so it is rejected only if it is clearly less likely."""
     for number, member in enumerate(one.members):
-        if not isinstance(member.candidate.effect, Shaped):
+        effect = member.candidate.effect
+        if isinstance(effect, Shaped):
+            others = [*one.members[:number], *one.members[number + 1 :]]
+            (again,) = candidates_of(weighing.beside(together(weighing, others)), [effect])
+            if not np.isfinite(again.log_bayes).any():
+                continue
+            (form,) = weighing.weigh([again.best.variant], again.best.raw)
+            form, least = replace(form, held=again.best.held), one.evidence
+            changed = Member(again, form, again.shape_cost)
+        elif isinstance(effect, Curved) and float(member.form.log_bayes.max()) > BENT:
+            (form,), least = weighing.weigh(_around(weighing, one, member, effect)), one.evidence - WORTHWHILE
+            changed = replace(member, form=form)
+        else:
             continue
-        others = [*one.members[:number], *one.members[number + 1 :]]
-        (again,) = candidates_of(weighing.beside(together(weighing, others)), [member.candidate.effect])
-        if not np.isfinite(again.log_bayes).any():
-            continue
-        (form,) = weighing.weigh([again.best.variant], again.best.raw)
-        form = replace(form, held=again.best.held)
         if form.trace <= 0:
             continue
-        changed = Member(again, form, again.shape_cost)
         other = _evaluated(weighing, (*one.members[:number], changed, *one.members[number + 1 :]))
-        one = other if other.evidence > one.evidence else one
+        one = other if other.evidence > least else one
     return one
+
+
+def _around(weighing: Weighing, one: EffectSet, member: Member, effect: Curved) -> list[Variant]:
+    """Returns the secants of a nonlinear effect at the amplitudes that it has in a set."""
+    amplitudes, _ = weighing.amplitudes(one.weighed, walking=False)
+    own = one.columns(member.id)
+    size = np.array([column.magnitude for column in one.weighed.variant.columns[own]])
+    return effect.around(weighing.observed, amplitudes[own] * size)
+
+
+def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
+    """Evaluates an effect on the output again, at an output that contains the other effects of the set. The other effects are
+    evaluated as this output shows them. This is more exact than the sum of the effects. For a strong effect, the result is therefore
+    rejected only if it is clearly less likely than this sum."""
+    acting = [(k, on_output(m.candidate.effect)) for k, m in enumerate(one.members) if is_whole(m.form.variant.columns)]
+    number, effect = next(((k, effect) for k, effect in acting if effect is not None), (0, None))
+    others = [member for k, member in enumerate(one.members) if k != number]
+    found, _ = weighing.amplitudes(one.weighed, walking=False)
+    columns = [columns_of(weighing, m.candidate.effect, m.form, found[one.columns(m.id)]) for m in others]
+    if effect is None or not all(columns):
+        return one
+    every = [column for own in columns for column in own]
+    best, before = one, np.full(len(every), np.inf)
+    least = one.evidence - (WORTHWHILE if one.members[number].form.held else 0.0)
+    for _ in range(_ROUNDS):
+        own = one.columns(effect.id)
+        amplitudes, covariance = weighing.amplitudes(one.weighed, walking=False)
+        free = np.delete(np.arange(len(amplitudes)), own)
+        now, spread = amplitudes[free], np.sqrt(np.diag(covariance)[free])
+        if (np.abs(now - before) < _SAME * spread).all():
+            break
+        acted, before = on_others(weighing, effect, one.members[number].form, every, now), now
+        if acted is None:
+            break
+        ends = np.cumsum([0, *map(len, columns)])
+        members = list(one.members)
+        places = [k for k in range(len(members)) if k != number]
+        for k, low, high in zip(places, ends[:-1], ends[1:], strict=True):
+            raw = [block[:, low:high] for block in acted.others]
+            (form,) = weighing.weigh([members[k].form.variant], raw)
+            members[k] = replace(members[k], form=form)
+        members[number] = replace(members[number], form=acted.best)
+        if any(member.form.trace <= 0 for member in members):
+            break
+        one = replace(_evaluated(weighing, tuple(members)), on_others=(number, acted))
+        if one.evidence > (least if best.on_others is None else best.evidence):
+            best = one
+    return best
 
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:

@@ -133,6 +133,7 @@ class ChannelWeights:
     walk. `whiten` scales coefficients (M, …) to unit noise; `project` whitens them and projects the nominal parameters out.
 
     `relative`: array of shape (M,), variance of the noise of each coefficient, divided by the variance of the white noise.
+    `walk_within`: array of shape (M,) in SI²·samples, variance of the coefficients above order 0 due to a random walk.
     `undithered`: variance of the rounding error of a segment mean. `log_likelihood`: REML of the data without any effect.
     `log_det`: −2·log_likelihood minus the sum of the squared residuals. `basis`: array of shape (M, q), orthonormal basis of the
     whitened nominal columns. `scale`: array of shape (M,), factors that whiten coefficients one by one. They apply to all
@@ -166,11 +167,13 @@ class ChannelWeights:
             covariance += level**2 * slow.flicker
             tail += level**2 * observed.sample_rate / 2 * _beyond_measured(spectrum, noise.lowest, measured)
         across: slow_noise.WalkAcross | None = None
+        self.walk_within: Array = np.zeros(len(spectrum.segment))
         if walk > 0:
             walking = slow.walk_within.times(walk**2)
             within = _besides(walking, within, measured).joined(walking)
             covariance += walk**2 * slow.random_walk
             across = slow.walk_across.times(walk**2)
+            self.walk_within = np.where(spectrum.frequency > 0, walking.variances, 0.0)
         within = within.plus(tail)
         self.walk = walk
         self._covariance = covariance
@@ -240,6 +243,20 @@ class ChannelWeights:
         made.residual = self.residual - left @ (left.T @ self.residual)
         made.log_likelihood = self.log_likelihood + 0.5 * float(self.residual @ self.residual)
         made.log_likelihood -= 0.5 * float(made.residual @ made.residual)
+        return made
+
+    def without(self, caused: Array) -> ChannelWeights:
+        """Returns a copy for the data without a known part. `caused`: array of shape (M,) in SI units, coefficients of this part."""
+        made = copy(self)
+        made.residual = self.residual - self.project(caused[:, None])[:, 0]
+        squares = float(self.residual @ self.residual) - float(made.residual @ made.residual)
+        made.log_likelihood = self.log_likelihood + 0.5 * squares
+        return made
+
+    def refitted(self, nominal: Array, values: Array) -> ChannelWeights:
+        """Returns a copy with other nominal columns (M, q) and other coefficients (M,) of the data, both in SI units."""
+        made = copy(self)
+        made._fit(nominal, values, jointly=self._inverse is not None)
         return made
 
     def inflated(self, ratio: float) -> ChannelWeights:

@@ -129,18 +129,24 @@ class Weighed:
         return best_amplitudes(self.gram[setting], self.score[setting], self.variant.widths)
 
 
+Forms = Sequence[tuple[Weighed, float]]
+"""Forms of an effect that is completely determined by its shape, and their probabilities."""
+
+
 @dataclass(frozen=True)
 class Candidate:
     """Contains an effect and its evaluated variants. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape of
     the effect. `at`: index of the setting of the noise at which the forms are compared. `at` is the most probable setting without a
     random walk of the gyros, because a random walk would explain much of the residuals of a wrong form. `settled`: True if the
-    nominal parameters were fitted together with the effect before its forms were computed."""
+    nominal parameters were fitted together with the effect before its forms were computed. `whole`: the forms with the amplitude 1
+    and their probabilities, if the effect is strong and its shape determines it completely."""
 
     effect: Effect
     variants: tuple[Weighed, ...]
     log_bayes: Array
     at: int = 0
     settled: bool = False
+    whole: Forms = ()
 
     @property
     def id(self) -> str:
@@ -214,13 +220,13 @@ class Weighing:
         ]
         fast = np.column_stack([own.variances[self.spectrum.means] for own in relative]) * self.white**2
         slow, means = SlowNoise.of(observed, self.spectrum), fast / observed.counts[:, None]
+        self.weights: list[list[ChannelWeights]] = []
         self.settings: dict[str, tuple[Setting, ...]] = {
             kind: settings_of(observed, slow, means, kind) for kind in ("gyro", "accel")
         }
         self.observed = replace(observed, scatter=self._scatter())
         self.observed = self.seen()
         rounding = undithered(observed, self.white, self.coarse)
-        self.weights: list[list[ChannelWeights]] = []
         self.log_likelihood: list[Array] = []
         for index, channel in enumerate(observed.channels):
             settings, fitted = self.settings[channel.kind], self.nominal[index]
@@ -289,18 +295,39 @@ class Weighing:
         self, taken: Sequence[Array] | None = None, change: Sequence[Array] | None = None
     ) -> list[Array]:
         """Returns, for each channel, the values (q,) of its nominal parameters in magnitudes, in the order of its columns in
-        `whole`. The values are fitted by least squares to all coefficients. `taken`: for each channel, the coefficients (M,) that
+        `whole`. The values are fitted by least squares to all coefficients, weighted according to the most probable noise once it
+        is known. `taken`: for each channel, the coefficients (M,) that
         an effect explains; they are subtracted before the fit. `change`: for each channel, the change (M, q) of the effect per
         magnitude of each nominal parameter, which is added to the columns of the parameters."""
         found = []
         for index, whole in enumerate(self.whole):
             nominal = whole if change is None else whole + change[index]
-            design = np.hstack([nominal, self.angles[index]])
-            size = np.linalg.norm(design, axis=0) + 1e-300
             left = self.spectrum.values[:, index] - (0.0 if taken is None else taken[index])
-            values = np.linalg.lstsq(design / size, left, rcond=None)[0] / size
+            both = np.column_stack([nominal, self.angles[index], left])
+            if self.weights:
+                both = self.weights_at(self.likeliest[0], index).whiten(both)
+            size = np.linalg.norm(both[:, :-1], axis=0) + 1e-300
+            values = np.linalg.lstsq(both[:, :-1] / size, both[:, -1], rcond=None)[0] / size
             found.append(values[: nominal.shape[1]])
         return found
+
+    def weights_at(self, setting: int, channel: int) -> ChannelWeights:
+        """Returns the weights of a channel at one setting of the noise."""
+        gyro, accel = divmod(setting, self.shape[1])
+        return self.weights[channel][gyro if self.observed.channels[channel].kind == "gyro" else accel]
+
+    def without_walks(self) -> Weighing:
+        """Returns a copy with the settings of the noise that contain no random walk. These settings alone determine the evidence of a
+        hypothesis without a random walk. There are few of them, so that it is computed faster."""
+        made = copy(self)
+        for name in ("base", "likeliest", "shape", "log_prior"):
+            made.__dict__.pop(name, None)
+        kept = {kind: [k for k, one in enumerate(own) if one.walk == 0] for kind, own in self.settings.items()}
+        made.settings = {kind: tuple(own[k] for k in kept[kind]) for kind, own in self.settings.items()}
+        kinds = [channel.kind for channel in self.observed.channels]
+        made.weights = [[own[k] for k in kept[kind]] for own, kind in zip(self.weights, kinds, strict=True)]
+        made.log_likelihood = [own[kept[kind]] for own, kind in zip(self.log_likelihood, kinds, strict=True)]
+        return made
 
     def fitted(self, values: Sequence[Array] | None = None) -> Array:
         """Returns the output of the nominal model, shape (N, K). `values`: the same as in `output_at`; by default, the nominal
@@ -342,6 +369,42 @@ class Weighing:
         acting = [raw[:, raw.any(axis=0)] for raw in known.raw]
         made.nominal = [independent(np.hstack(parts)) for parts in zip(self.nominal, acting, strict=True)]
         made.known = [np.hstack(parts) for parts in zip(self.known, acting, strict=True)]
+        return made
+
+    def with_known(self, columns: Sequence[Column], amplitudes: Array) -> Weighing:
+        """Returns a copy in which the nominal output contains effects with known amplitudes. `columns`: P columns with samples.
+        `amplitudes`: array of shape (P,) in magnitudes."""
+        caused = [raw @ amplitudes for raw in coefficients_of(self.observed, self.spectrum, columns)]
+        made = self._with(lambda weight, channel: weight.without(caused[channel]))
+        made._reference = self._reference.copy()
+        for column, amplitude in zip(columns, amplitudes, strict=True):
+            acting = True if column.segments is None else column.segments[self.observed.owner]
+            for channel, part in column.parts.items():
+                made._reference[:, channel] += np.where(acting, part, 0.0) * (column.magnitude * amplitude)
+        made.spectrum = replace(self.spectrum, values=self.spectrum.values - np.column_stack(caused))
+        made.observed = made.seen()
+        return made
+
+    def moving(
+        self, change: Sequence[Array], values: Sequence[Array], beside: Sequence[Array] | None = None
+    ) -> Weighing:
+        """Returns a copy in which an effect changes with the nominal parameters. `change`: for each channel, the change (M, q) of the
+        effect per magnitude of each parameter. `values`: for each channel, the values (q,) of the parameters at which the effect is
+        evaluated. `beside`: for each channel, further columns (M, P) with free amplitudes, None if there are none."""
+        found = self.spectrum.values.copy()
+        nominal, changed = list(self.nominal), [bool(own.any()) for own in change]
+        for index, (own, at) in enumerate(zip(change, values, strict=True)):
+            free = self.known[index][:, :0] if beside is None else beside[index][:, beside[index].any(axis=0)]
+            if own.any() or free.size:
+                changed[index] = True
+                found[:, index] += own @ at
+                nominal[index] = independent(
+                    np.hstack([self.whole[index] + own, self.angles[index], self.known[index], free])
+                )
+        made = self._with(
+            lambda weight, channel: weight.refitted(nominal[channel], found[:, channel]) if changed[channel] else weight
+        )
+        made.nominal, made.spectrum = nominal, replace(self.spectrum, values=found)
         return made
 
     def inflated(self, ratios: Sequence[float]) -> Weighing:
@@ -402,8 +465,7 @@ class Weighing:
         noise."""
         if setting == 0:
             return [(own[0], columns) for own, columns in zip(self.weights, weighed.by_channel, strict=True)]
-        at = dict(zip(("gyro", "accel"), divmod(setting, self.shape[1]), strict=True))
-        weights = [own[at[channel.kind]] for own, channel in zip(self.weights, self.observed.channels, strict=True)]
+        weights = [self.weights_at(setting, channel) for channel in range(len(self.weights))]
         return [(weight, weight.project(raw)) for weight, raw in zip(weights, weighed.raw, strict=True)]
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:

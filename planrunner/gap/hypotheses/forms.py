@@ -12,20 +12,39 @@ would be wrong.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.interface import Curved, CurvedAndShaped, Effect, Shaped, Variant, is_whole, ways_of
+from planrunner.error_model.effects.interface import (
+    Column,
+    Curved,
+    CurvedAndShaped,
+    Effect,
+    Shaped,
+    Variant,
+    is_whole,
+    ways_of,
+)
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import RANGE, log_mean_exp
+from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.operating_point import on_output, settled
+from planrunner.gap.hypotheses.operating_point import (
+    OperatingPoint,
+    moving,
+    on_output,
+    operating_point,
+    passed_on,
+    settled,
+)
 
 _REFINE = 8.0  # log BF at and above which a shape is refined
-_BENT = 30.0  # log BF at and above which an effect may distort the fit of the nominal parameters
+BENT = 30.0  # log BF at and above which an effect may distort the fit of the nominal parameters
 _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justifies another one
+_WORSE = float(np.log(100.0))  # a more exact form is rejected if it is less likely by more than this
+_STILL = 0.1  # standard deviations of the noise by which the sum of the secants may still change
 
 
 def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candidate]:
@@ -63,31 +82,40 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
     usable = [item for item in weighed if item.can_be_seen]
     if not usable:
         return Candidate(effect, tuple(weighed), np.full(len(weighing.base), -np.inf))
-    log_bayes, settled = log_mean_exp(np.array([item.log_bayes for item in usable]), 0), False
+    log_bayes = log_mean_exp(np.array([item.log_bayes for item in usable]), 0)
+    settled, whole = False, tuple[tuple[Weighed, float], ...]()
     if isinstance(effect, Shaped) and float(log_bayes.max()) > _REFINE and len(usable) > 2:
         usable, log_bayes = _refined(weighing, effect, usable, weighing.observed)
-        if float(log_bayes.max()) > _BENT and is_whole(usable[0].variant.columns):
-            before = usable
-            usable, log_bayes = _resettled(weighing, effect, usable, log_bayes)
-            usable, log_bayes = _held(weighing, effect, usable, log_bayes)
-            settled = usable is not before
-    if isinstance(effect, CurvedAndShaped) and float(log_bayes.max()) > _BENT:
+        if float(log_bayes.max()) > BENT and is_whole(usable[0].variant.columns):
+            whole = _held(weighing, effect, usable)
+            if not whole:
+                before = usable
+                usable, log_bayes = _resettled(weighing, effect, usable, log_bayes)
+                settled, whole = usable is not before, _held(weighing, effect, usable)
+            if whole:
+                usable, settled = [form for form, _ in whole], True
+                log_bayes = _averaged(usable)
+    if isinstance(effect, CurvedAndShaped) and float(log_bayes.max()) > BENT:
         usable, log_bayes = _along_secants(weighing, effect, usable, log_bayes)
-    if isinstance(effect, Curved) and float(log_bayes.max()) > _BENT:
+    if isinstance(effect, Curved) and float(log_bayes.max()) > BENT:
         usable, log_bayes = _curved(weighing, effect, usable, log_bayes)
-    return Candidate(effect, tuple(usable), log_bayes, weighing.likeliest[0], settled)
+    return Candidate(effect, tuple(usable), log_bayes, weighing.likeliest[0], settled, whole)
 
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """Approximates a strong nonlinear effect by its secants at the most probable amplitudes. The approximation is repeated as long
-    as new secants explain more of the gap."""
+    """Evaluates a strong nonlinear effect with its secants at the most probable amplitudes. The secants are computed again until the
+    amplitudes no longer change. A secant is exact at its amplitude, and it has as many parameters as the linear approximation. It is
+    therefore used even if it explains the data no better. It is rejected only if it explains the data clearly worse."""
     for _ in range(_SETTLING):
         (best,) = usable
         size = np.array([column.magnitude for column in best.variant.columns])
         (again,) = weighing.weigh(effect.around(weighing.observed, best.amplitudes[0] * size))
-        if float(again.log_bayes.max()) < float(log_bayes.max()) + _GAINED:
+        if float(again.log_bayes.max()) < float(log_bayes.max()) - _WORSE:
             break
+        moved = again.amplitudes[0] - best.amplitudes[0]
         usable, log_bayes = [again], again.log_bayes
+        if float(moved @ again.gram[weighing.likeliest[0]] @ moved) < _STILL**2:
+            break
     return usable, log_bayes
 
 
@@ -146,18 +174,24 @@ def _together(weighing: Weighing, effect: Shaped, best: Weighed, values: Sequenc
     return list(values) if acting is None else settled(weighing, acting, float(best.variant.shape or 0.0), values)
 
 
-def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
+def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed]) -> tuple[tuple[Weighed, float], ...]:
     """Evaluates a strong effect whose shape determines it completely. The amplitude has the value that physics fixes. For example,
-    the time constant of a lag determines both the delay and the attenuation. The energy λ has the same prior as for other effects.
-    The candidate is unchanged if the data require the opposite sign."""
+    the time constant of a lag determines both the delay and the attenuation. The result is empty if the data require the opposite
+    sign, or if the effect is too weak for its amplitude to mean anything."""
     best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
-    forms = [replace(form, held=True) for form, _ in whole_forms(weighing, effect)] if best.amplitudes[0][0] > 0 else []
-    if len(forms) < 3 or any(form.trace <= 0 for form in forms):  # too weak for the amplitude 1 to mean anything
-        return usable, log_bayes
+    forms = whole_forms(weighing, effect) if best.amplitudes[0][0] > 0 else []
+    if len(forms) < 3 or any(form.trace <= 0 for form, _ in forms):
+        return ()
+    return tuple((replace(form, held=True), share) for form, share in forms)
+
+
+def _averaged(forms: Sequence[Weighed]) -> Array:
+    """Returns the log Bayes factor (G,), averaged over the shapes of an effect with the amplitude 1. The energy λ of the effect has the
+    same prior as for other effects."""
     width = np.abs(np.gradient(np.log([form.trace for form in forms]))) / RANGE
     share = width / width.sum()
     stacked = np.array([form.log_bayes for form in forms])
-    return forms, log_mean_exp(stacked, 0, share[:, None]) + float(np.log(width.sum()))
+    return np.asarray(log_mean_exp(stacked, 0, share[:, None]) + float(np.log(width.sum())))
 
 
 def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Observed) -> tuple[list[Weighed], Array]:
@@ -205,43 +239,141 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
     return None
 
 
-def whole_forms(weighing: Weighing, effect: Shaped) -> list[tuple[Weighed, float]]:
+def whole_forms(
+    weighing: Weighing, effect: Shaped, near: Weighed | None = None, columns: Sequence[Column] = ()
+) -> list[tuple[Weighed, float]]:
     """Returns the forms around the most probable shape, in equal steps of the logarithm of the shape, and their probabilities. If
-    the data require the opposite sign, no form explains the data better than no effect, and the result is empty. If the search
-    alternates between shapes or does not converge, the most probable of the visited shapes is used, with the nominal parameters
-    that were fitted for it. The search for an effect on the output starts from the fitted nominal parameters or from the declared
-    sensor, whichever explains more: if most readings are limited, the fitted scale factors are far too small."""
+    the data require the opposite sign, no form explains the data better than no effect, and the result is empty. `near`: a form from
+    which the search starts, None if no form is known. `columns`: columns of other effects with samples, whose amplitudes are not known
+    exactly."""
+    found = _search(weighing.without_walks(), effect, near, columns)
+    around = found.shape * np.exp(found.sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
+    variants = [effect.at(found.seen, float(value)) for value in around]
+    forms = weighing.weigh(variants)
+    if max(_evidence(weighing, form) for form in forms) < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
+        return []
+    each = np.array([_evidence(found.along, form) for form in found.along.weigh(variants)])
+    share = np.exp(each - each.max())
+    return list(zip(forms, (share / share.sum()).tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Contains a shape that was found for an effect with the amplitude 1. `seen`: the recording with the nominal output. `along`: the
+    weights with which the shape was searched. `sigma`: standard deviation of the logarithm of the shape."""
+
+    seen: Observed = field(repr=False)
+    along: Weighing = field(repr=False)
+    shape: float
+    sigma: float
+
+
+def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column]) -> _Found:
+    """Searches the most probable shape and fits the nominal parameters. The shape of an effect on the output is searched together with
+    the change of the nominal parameters. If the search alternates between shapes or does not converge, the most probable of the
+    visited shapes is used, with the nominal parameters that were fitted for it."""
+    best, values = (near, None) if near is not None else _start(weighing, effect)
+    shape, last, acting = float(best.variant.shape or 0.0), np.nan, on_output(effect)
+    visited: list[tuple[float, _Found]] = []
+    for _ in range(_STEPS):
+        values = _together(weighing, effect, best, values)
+        seen, before, last = weighing.seen(values), last, shape
+        along = weighing if acting is None else moving(weighing, acting, shape, values, columns)
+        shape, sigma = _most_probable(along, effect, seen, last)
+        (best,) = weighing.weigh([effect.at(seen, shape)])
+        visited.append((_evidence(weighing, best), _Found(seen, along, shape, sigma)))
+        if abs(np.log(shape / last)) < _SAME * sigma:
+            return visited[-1][1]
+        if abs(np.log(shape / before)) < _SAME * sigma:
+            break
+    return max(visited, key=lambda one: one[0])[1]
+
+
+def _start(weighing: Weighing, effect: Shaped) -> tuple[Weighed, Sequence[Array] | None]:
+    """Returns the form from which a search starts, and the nominal parameters for which this form was computed; None for the
+    parameters that are fitted without any effect. For an effect on the output, these are the fitted parameters or those of the
+    declared sensor, whichever explain more: if most readings are limited, the fitted scale factors are far too small."""
     starts: list[Sequence[Array] | None] = [None]
     if on_output(effect) is not None:
         starts.append([np.zeros(whole.shape[1]) for whole in weighing.whole])
     found = []
     for values in starts:
         seen = weighing.observed if values is None else weighing.seen(values)
-        shape, sigma = _most_probable(weighing, effect, seen, np.nan)
+        shape, _ = _most_probable(weighing, effect, seen, np.nan)
         (best,) = weighing.weigh([effect.at(seen, shape)])
-        found.append((_evidence(weighing, best), seen, shape, sigma, values, best))
-    evidence, seen, shape, sigma, values, best = max(found, key=lambda one: one[0])
-    likeliest, last = (evidence, seen, shape, sigma), np.nan
-    for _ in range(_STEPS):
-        values = _together(weighing, effect, best, values)
-        seen, before, last = weighing.seen(values), last, shape
-        shape, sigma = _most_probable(weighing, effect, seen, last)
-        (best,) = weighing.weigh([effect.at(seen, shape)])
-        likeliest = max(likeliest, (_evidence(weighing, best), seen, shape, sigma), key=lambda one: one[0])
-        if abs(np.log(shape / last)) < _SAME * sigma:
-            break
-        if abs(np.log(shape / before)) < _SAME * sigma:
-            _, seen, shape, sigma = likeliest
-            break
-    else:
-        _, seen, shape, sigma = likeliest
-    near = shape * np.exp(sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
-    weighed = weighing.weigh([effect.at(seen, float(value)) for value in near])
-    each = np.array([_evidence(weighing, item) for item in weighed])
-    if each.max() < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
-        return []
-    share = np.exp(each - each.max())
-    return list(zip(weighed, (share / share.sum()).tolist(), strict=True))
+        found.append((_evidence(weighing, best), best, values))
+    _, best, values = max(found, key=lambda one: one[0])
+    return best, values
+
+
+def columns_of(weighing: Weighing, effect: Effect, form: Weighed, amplitudes: Array) -> Sequence[Column]:
+    """Returns the columns of a form of an effect, with samples; no columns if the effect must be evaluated in another way.
+    `amplitudes`: array of shape (p,) in magnitudes, amplitudes at which the columns of a strong nonlinear effect are secants."""
+    observed = weighing.observed
+    if isinstance(effect, CurvedAndShaped):
+        return ()
+    if isinstance(effect, Curved):
+        size = np.array([column.magnitude for column in form.variant.columns])
+        strong = float(form.log_bayes.max()) > BENT
+        (variant,) = effect.around(observed, amplitudes * size * strong)
+        return variant.columns
+    made = effect.variants(observed)
+    if isinstance(effect, Shaped) and form.variant.shape is not None:
+        made = [effect.at(observed, form.variant.shape)]
+    return next((one.columns for one in made if one.shape == form.variant.shape), ())
+
+
+@dataclass(frozen=True)
+class OnOthers:
+    """Describes an effect on the output that acts together with other effects, such as a limit of an output that other effects
+    change.
+
+    `forms`: the forms of the effect with the amplitude 1, and their probabilities. To the first order, the common output is the sum
+    of the nominal output, a form, and `others` multiplied by the amplitudes of the other effects. `others`: for each channel, the
+    coefficients (M, P) of the other effects as the output shows them. `point`: how the effect changes with the nominal parameters."""
+
+    forms: tuple[tuple[Weighed, float], ...]
+    others: tuple[Array, ...] = field(repr=False)
+    point: OperatingPoint = field(repr=False)
+
+    @property
+    def best(self) -> Weighed:
+        return max(self.forms, key=lambda one: one[1])[0]
+
+    def weighed(self, weighing: Weighing, together: Weighed) -> tuple[Weighing, Weighed]:
+        """Returns weights with which the effect changes with the nominal parameters, and all columns of the effects (`together`) under
+        these weights. The amplitudes then have the uncertainty that includes the uncertainty of the nominal parameters."""
+        along = weighing.moving(self.point.change, self.point.values)
+        (found,) = along.weigh([together.variant], together.raw)
+        return along, found
+
+
+def on_others(
+    weighing: Weighing, effect: Shaped, form: Weighed, columns: Sequence[Column], amplitudes: Array
+) -> OnOthers | None:
+    """Finds the shape of an effect on the output, which acts on the nominal output and on other effects. Returns None if no shape
+    explains the data.
+
+    `form`: a form of the effect from which the search starts. `columns`: P columns with samples, of the other effects.
+    `amplitudes`: array of shape (P,), their amplitudes in magnitudes."""
+    beneath = weighing.with_known(columns, amplitudes)
+    forms = whole_forms(beneath, effect, form, columns)
+    if not forms:
+        return None
+    best, _ = max(forms, key=lambda one: one[1])
+    shape, taken = float(best.variant.shape or 0.0), [raw[:, 0] for raw in best.raw]
+    point = operating_point(beneath, effect, shape, taken)
+    others = passed_on(weighing, effect, shape, beneath.seen(point.values), columns)
+    shown = [
+        (without - passed) @ amplitudes
+        for without, passed in zip(coefficients_of(weighing.observed, weighing.spectrum, columns), others, strict=True)
+    ]
+    made = []
+    for one, share in forms:
+        raw = [block + more[:, None] for block, more in zip(one.raw, shown, strict=True)]
+        (weighed,) = weighing.weigh([one.variant], raw)
+        made.append((replace(weighed, held=True), share))
+    return OnOthers(tuple(made), tuple(others), point)
 
 
 def _evidence(weighing: Weighing, form: Weighed) -> float:

@@ -93,19 +93,21 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
     return Kinds(found, several, alone, beside, beyond.lines)
 
 
-def something_else(weighing: Weighing, signatures: Sequence[Array] = ()) -> float:
+def something_else(weighing: Weighing, signatures: Sequence[Array] = (), explained: float = np.inf) -> float:
     """Returns the log Bayes factor of the patterns of the coefficients, single and in combination, against no pattern. The factor
     is computed at the most probable setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the
     evidence for something else in addition to these effects. `signatures`: for each channel, the coefficients (M,) that these
-    effects cause."""
+    effects cause. `explained`: log evidence of these effects. If the size of the effects seems to differ between motions, and these
+    differences explain more than the effects themselves, they are not a property of the effects and are left out."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
     if signatures:
         pattern, designs_ = sizes(weighing, signatures)
         spectra = [eigen(left, own) for left, own in zip(channels, designs_, strict=True)]
-        if any(len(values) for values, _ in spectra):
-            each[pattern] = np.array(_by_scope(spectra, patterns.scopes))
+        varying = np.array(_by_scope(spectra, patterns.scopes))
+        if any(len(values) for values, _ in spectra) and float(log_mean_exp(varying, 0)) <= explained:
+            each[pattern] = varying
     kinds = [float(log_mean_exp(value, 0)) for value in each.values()]
     return float(log_mean_exp(np.array([*kinds, _several(patterns, channels, each)]), 0))
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.interface import ChangesWithinSegments, Effect, Shaped
+from planrunner.error_model.effects.interface import ChangesWithinSegments, Column, Effect, Shaped
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import Weighing
@@ -63,6 +63,17 @@ def operating_point(
     return OperatingPoint(tuple(values), tuple(weighing.whole), tuple(change))
 
 
+def moving(
+    weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], columns: Sequence[Column]
+) -> Weighing:
+    """Returns a copy of `weighing` in which an effect on the output changes with the nominal parameters, to the first order. The shape
+    of the effect is then searched together with the parameters and with the amplitudes of other effects. `values`: values of the
+    parameters of each channel. `columns`: columns of the other effects, with samples."""
+    seen = weighing.seen(values)
+    change = _changes(weighing, effect, shape, seen, 1.0, _steps(weighing))
+    return weighing.moving(change, values, passed_on(weighing, effect, shape, seen, columns) if columns else None)
+
+
 def settled(
     weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], amplitude: float = 1.0
 ) -> list[Array]:
@@ -94,18 +105,44 @@ def _changes(
     weighing: Weighing, effect: Shaped, shape: float, seen: Observed, amplitude: float, step: Array
 ) -> list[Array]:
     """Returns, for each channel, the change (M, q) of the effect per magnitude of each nominal parameter. An effect on the output is a
-    function of the nominal output alone, so its derivative is the product of two derivatives. `seen`: the recording with the
-    nominal output. `step`: array of shape (N, K), step of the nominal output over which the effect is differentiated."""
-    output = weighing.fitted() if seen.fitted is None else seen.fitted
-    (more,), (less,) = (effect.at(replace(seen, fitted=output + sign * step), shape).columns for sign in (1.0, -1.0))
+    function of the nominal output alone, so its derivative is the product of two derivatives. The other arguments are those of
+    `_slopes`."""
     change = [np.zeros_like(whole) for whole in weighing.whole]
+    for channel, slope in _slopes(effect, shape, seen, step).items():
+        samples = slope[:, None] * weighing.samples_of(channel)
+        change[channel] = weighing.spectrum.project(weighing.observed, samples) * amplitude
+    return change
+
+
+def _slopes(effect: Shaped, shape: float, seen: Observed, step: Array) -> dict[int, Array]:
+    """Returns the derivative (N,) of the effect with respect to the nominal output, for each channel in which it is not zero. `seen`:
+    the recording with the nominal output. `step`: array of shape (N, K), step of the nominal output over which the effect is
+    differentiated."""
+    output, found = seen.nominal_output, dict[int, Array]()
+    (more,), (less,) = (effect.at(replace(seen, fitted=output + sign * step), shape).columns for sign in (1.0, -1.0))
     for channel in sorted(more.parts.keys() & less.parts.keys()):
         rise, run = more.parts[channel] - less.parts[channel], 2 * step[:, channel]
         slope = np.divide(rise, run, out=np.zeros(len(run)), where=run > 0)
         if slope.any():
-            samples = slope[:, None] * weighing.samples_of(channel)
-            change[channel] = weighing.spectrum.project(weighing.observed, samples) * amplitude
-    return change
+            found[channel] = slope
+    return found
+
+
+def passed_on(
+    weighing: Weighing, effect: Shaped, shape: float, seen: Observed, columns: Sequence[Column]
+) -> list[Array]:
+    """Computes how other effects appear after an effect on the output. A limited output, for example, does not show them. Returns,
+    for each channel, the coefficients (M, P) of `columns`, multiplied by the derivative of the output with respect to its nominal
+    value. `seen`: the recording with the nominal output, which contains the other effects."""
+    slopes = _slopes(effect, shape, seen, _steps(weighing))
+    passed = [
+        replace(
+            column,
+            parts={c: part * (1 + slopes[c]) if c in slopes else part for c, part in column.parts.items()},
+        )
+        for column in columns
+    ]
+    return coefficients_of(weighing.observed, weighing.spectrum, passed)
 
 
 def _steps(weighing: Weighing) -> Array:

@@ -1,0 +1,146 @@
+"""Effects that change each other: a limit or a dead zone acts on the sum of the true input and of all other effects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import binom
+
+from planrunner.error_model.effects.table import TableAzimuth
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.closure import predictions
+from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.forms import BENT, candidates_of
+from tests.gap.test_closure import holds
+from tests.gap.turntable import DEG, G, record
+
+Array = np.ndarray
+SAMPLING = 5.0
+K = np.array([[0.02, 0.01, 0.03], [0.04, -0.03, 0.02], [0.03, 0.02, -0.05]]) * DEG / G
+"""Change of the three gyros per specific force along x, y and z, in rad/s per m/s²."""
+
+
+def _g_sensitivity(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+    return force @ K.T, 0.0
+
+
+def _noisy(exact: Observed, outputs: Array, seed: int) -> Observed:
+    draw = np.random.default_rng([seed, 5])
+    sigma = np.array([channel.white for channel in exact.channels]) * np.sqrt(SAMPLING)
+    channels = tuple(replace(one, resolution=0.0) for one in exact.channels)
+    return replace(exact, values=outputs + sigma * draw.standard_normal(outputs.shape), channels=channels)
+
+
+def _limited(seed: int) -> Observed:
+    exact = record(seed=seed, sampling=SAMPLING, clean=True, fault=_g_sensitivity)
+    recorded = _noisy(exact, exact.values, seed)
+    recorded.values[:, :3] = np.clip(recorded.values[:, :3], -89.9 * DEG, 89.9 * DEG)
+    return recorded
+
+
+def _without_small_rates(seed: int) -> Observed:
+    exact = record(seed=seed, sampling=SAMPLING, clean=True, fault=_g_sensitivity)
+    outputs, width = exact.values.copy(), 0.02 * DEG
+    gyros = outputs[:, :3]
+    outputs[:, :3] = np.sign(gyros) * np.sqrt(np.maximum(gyros**2 - width**2, 0.0))
+    return _noisy(exact, outputs, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("made", "name", "size"), [(_limited, "gyro_saturation", 89.9), (_without_small_rates, "gyro_dead_zone", 0.02)]
+)
+def test_an_effect_on_the_output_acts_on_the_other_effects(
+    made: Callable[[int], Observed], name: str, size: float, seed: int
+) -> None:
+    """Both effects are named, and nothing else; the size of the first and the sensitivities agree with the truth. The matrix of the
+    device changes the sensitivities by up to 1 %."""
+    found = diagnose(made(seed))
+    assert set(found.verdict.effects) == {name, "gyro_g_sensitivity"}
+    assert not found.verdict.something_else
+    (one,) = [p for p in found.parameters if p.effect == name]
+    assert abs(one.value - size) < 4 * one.standard_uncertainty
+    elements = [p for p in found.parameters if p.effect == "gyro_g_sensitivity"]
+    true = (K.T * G / DEG).ravel()
+    for p, value in zip(elements, true, strict=True):
+        assert abs(p.value - value) < 4 * p.standard_uncertainty + 0.01 * np.abs(true).max()
+
+
+def test_a_limited_output_does_not_show_another_effect() -> None:
+    """The specific force along the axis of the table is the same at all rates, so that the g-sensitivity would be as large in segments
+    that the limit cuts as in the others."""
+    found = diagnose(_limited(1))
+    weighing, pair = found.grounds.weighing, found.posterior.sets["gyro_g_sensitivity+gyro_saturation"]
+    owner, whole = weighing.spectrum.segment, weighing.seen()
+    assert pair.on_others is not None
+    columns = pair.columns("gyro_g_sensitivity")
+    seen = 0
+    for channel in weighing.observed.of_kind("gyro"):
+        largest = [np.abs(whole.nominal_output[part, channel]).min() for part in weighing.observed.segments()]
+        cut = (np.array(largest) > 89.95 * DEG)[owner]
+        seen += int(cut.sum())
+        energy = (pair.weighed.raw[channel][:, columns] ** 2).sum(axis=1)
+        assert energy[cut].max(initial=0.0) < 1e-8 * energy[~cut].max()
+    assert seen > 0
+
+
+@pytest.mark.parametrize("angle", [0.2, -0.25])
+def test_a_strong_nonlinear_effect_is_fitted_with_its_secant(angle: float) -> None:
+    """The horizontal rate of the Earth, turned by 0.2 rad, is about eleven standard deviations of the noise; the linear approximation
+    misses it by one. The fit uses the rotation itself, although it explains hardly more."""
+
+    def turned(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        north = 15.041067 * DEG / 3600 * np.cos(observed.site.latitude)
+        away = north * np.array([np.sin(angle), np.cos(angle) - 1, 0.0])
+        back = Rotation.from_rotvec(-observed.angle[:, None] * np.array([0.0, 0.0, 1.0]))
+        return np.einsum("nij,nj->ni", observed.attitude[observed.owner], back.apply(away)), 0.0
+
+    recorded = record(seed=4, sampling=SAMPLING, fault=turned)
+    weighing = Weighing(recorded)
+    effect = TableAzimuth()
+    (candidate,) = candidates_of(weighing, [effect])
+    best = candidate.best
+    size = np.array([column.magnitude for column in best.variant.columns])
+    (exact,) = weighing.weigh(effect.around(weighing.observed, best.amplitudes[0] * size))
+    (linear,) = weighing.weigh(effect.variants(weighing.observed))
+    assert float(best.log_bayes.max()) > BENT
+    for own, secant, tangent in zip(best.raw, exact.raw, linear.raw, strict=True):
+        if secant.any():
+            assert np.linalg.norm(own - secant) < 0.05 * np.linalg.norm(own - tangent)
+
+
+def _walking(seed: int) -> tuple[Observed, Array]:
+    """A recording with g-sensitivity and a random walk of the gyros, and the change (N, K) of the outputs by both."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        own = np.random.default_rng([seed, 6])
+        walk = np.cumsum(own.standard_normal((len(observed.time), 3)), axis=0) * 1e-6
+        return 0.2 * force @ K.T + walk, 0.0
+
+    with_both = record(seed=seed, sampling=SAMPLING, clean=True, fault=fault)
+    without = record(seed=seed, sampling=SAMPLING, clean=True)
+    return _noisy(with_both, with_both.values, seed), with_both.values - without.values
+
+
+@pytest.mark.slow
+def test_a_random_walk_within_the_segments_is_no_noise() -> None:
+    """A random walk beside a named effect: the 90 % intervals of the closure contain the true share as often as chance allows at 1 %."""
+    held, tries = 0, 12
+    for seed in range(tries):
+        recorded, change = _walking(seed)
+        found = diagnose(recorded)
+        weighing, noise = found.grounds.weighing, found.grounds.noise
+        if noise is None or not found.closure.resolvable:
+            tries -= 1
+            continue
+        coefficients = weighing.spectrum.project(weighing.observed, change)
+        gap, difference, _ = predictions(weighing, noise, found.grounds.choices, coefficients)
+        held += holds(found.closure, gap, difference)
+    assert tries >= 6
+    assert held >= binom.ppf(0.01, tries, 0.9)
