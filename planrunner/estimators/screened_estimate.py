@@ -166,10 +166,10 @@ def _find(recorded: RecordedSegment, one: Find) -> Said:
 _KINDS = {
     FindKind.SPIKE: (said("spike"), said("spikes")),
     FindKind.BURST: (said("burst"), said("bursts")),
-    FindKind.STUCK: (said("stuck"), said("stuck stretches")),
-    FindKind.CLIPPED: (said("clipped"), said("clipped stretches")),
-    FindKind.REPEATED: (said("repeated"), said("repeated stretches")),
-    FindKind.LOST: (said("lost"), said("gaps")),
+    FindKind.STUCK: (said("stuck stretch"), said("stuck stretches")),
+    FindKind.CLIPPED: (said("clipped stretch"), said("clipped stretches")),
+    FindKind.REPEATED: (said("repeated stretch"), said("repeated stretches")),
+    FindKind.LOST: (said("gap"), said("gaps")),
     FindKind.STEP: (said("step"), said("steps")),
 }
 """For each kind of find, its name in the singular and in the plural."""

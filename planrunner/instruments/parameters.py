@@ -22,6 +22,12 @@ class QuantityLike:
     sign: Sign = "any"
     others: tuple[str, ...] = ()
 
+    @property
+    def what(self) -> str:
+        """Describes the quantity in the reference of the keys."""
+        sign = {"positive": ", above zero", "not negative": ", zero or more"}.get(self.sign, "")
+        return f"a quantity with a unit such as {self.unit}{sign}"
+
     def read(self, node: Node, log: Findings) -> Quantity | None:
         quantity = read_quantity(node, None, log, uncertain=False)
         if quantity is None:

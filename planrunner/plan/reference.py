@@ -153,6 +153,8 @@ def type_words(kind: Kind) -> str:
             values = type_words(kind.item)
             if isinstance(kind.item, ListOf) and not kind.item.single:
                 values = f"a list (each item is {type_words(kind.item.item)})"
+            if isinstance(kind.item, MapOf):
+                values = f"itself a mapping (each key is a name, each value is {type_words(kind.item.item)})"
             return f"a mapping; each key is {names}, each value is {values}"
         case WordOr():
             return " or ".join([*(f"`{word}`" for word in kind.words), type_words(kind.other)])

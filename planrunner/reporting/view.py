@@ -239,7 +239,7 @@ def setting(value: object) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, Mapping):
-        return ", ".join(f"{name}: {setting(item)}" for name, item in value.items())
+        return "; ".join(f"{name}: {setting(item)}" for name, item in value.items())
     if isinstance(value, Iterable):
         return ", ".join(setting(item) for item in value)
     return cell(value)

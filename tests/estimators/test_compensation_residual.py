@@ -87,10 +87,10 @@ def test_perfect_coefficients_leave_the_verification_noise() -> None:
     table = next(table for table in found.tables if table.title == "Residuals after compensation")
     assert table.headings == (
         "position",
-        "drift ω_Y [deg/h]",
-        "drift ω_X [deg/h]",
-        "traditional ω_Y [deg/h]",
-        "traditional ω_X [deg/h]",
+        "'drift': ω_Y [deg/h]",
+        "'drift': ω_X [deg/h]",
+        "'traditional': ω_Y [deg/h]",
+        "'traditional': ω_X [deg/h]",
     )
     assert table.rows[1][1:3] == pytest.approx(expected[1], rel=1e-5)
 

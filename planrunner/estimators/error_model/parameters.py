@@ -57,8 +57,9 @@ class ErrorModelParameters(Record):
     )
     temperature_channel: str | None = optional(
         CHANNEL,
-        "The sensor's own thermometer, whose mean is the temperature of a segment; by default the planned temperature. If this "
-        "key is left out, a drift with temperature uses the only recorded channel that is a temperature.",
+        "The sensor's own thermometer. Its mean over a segment is the temperature of the segment, and a drift with temperature "
+        "follows it. If this key is left out, the planned temperature is the temperature of a segment, but a drift with temperature "
+        "follows the only recorded channel that is a temperature.",
         "temperature",
     )
     supply_channel: str | None = optional(
@@ -98,8 +99,9 @@ class ErrorModelParameters(Record):
     )
     expected: dict[str, dict[str, str]] = key(
         MapOf(MapOf(Text(), pattern=_COLUMN), pattern=r"[a-z][a-z0-9_]{0,59}"),
-        "Expected values of the parameters of effects with a shape parameter, in the form of the driver `added_effects`. `check` predicts "
-        "the uncertainties for these values; the estimate does not use them.",
+        "Expected parameters of effects that have a shape parameter (such as a time constant): for each effect, the name and the value "
+        "of each parameter, as in the driver `added_effects`. `check` predicts the uncertainties for these values; the estimate does "
+        "not use them.",
         {"gyro_bandwidth": {"tau": "5 ms"}, "gyro_warm_up": {"tau": "600 s", "a_x": "0.01 deg/s"}},
         default_factory=dict,
     )

@@ -252,7 +252,7 @@ def _assemble(
         np.diag(covariance),
         headline=tuple(item.name for item in coefficients),
         settings={
-            "reference": first,
+            "reference estimate": first,
             "trials": request.parameters.trials,
             "seed": request.parameters.seed,
         },
@@ -294,7 +294,7 @@ def _ratio(name: str, first: str) -> tuple[str, str, Said]:
 def _residual_table(labels: Sequence[str], residuals: Mapping[str, Array]) -> Table:
     columns = (
         TableColumn("position"),
-        *(TableColumn(f"{name} {axis}", Role.VALUE, "deg/h") for name in residuals for axis in AXES),
+        *(TableColumn(f"'{name}': {axis}", Role.VALUE, "deg/h") for name in residuals for axis in AXES),
     )
     rows: list[tuple[Cell, ...]] = [
         (label, *(float(v) for values in residuals.values() for v in values[k])) for k, label in enumerate(labels)

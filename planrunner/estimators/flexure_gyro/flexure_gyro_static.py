@@ -12,7 +12,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.error_model import flexure_gyro
-from planrunner.error_model.flexure_gyro import drifts, output_names
+from planrunner.error_model.flexure_gyro import drifts
 from planrunner.error_model.terms import ErrorModel
 from planrunner.estimators import rank
 from planrunner.estimators.basis_judgement import judge, planned_basis, require_basis
@@ -294,9 +294,9 @@ def descriptions(products: tuple[str, ...] = ()) -> tuple[Said, ...]:
     `flexure_gyro.output_names`."""
     of_drifts = (_drift(axis, rate, kind) for axis, rate in (("X", "Y"), ("Y", "X")) for kind in drifts(products))
     of_outputs = (
-        said("Coefficient {term} in the model of the torquer current i_{axis}", term=number, axis=axis)
-        for axis, names in zip("xy", output_names(products), strict=True)
-        for number in range(len(names))
+        said("Coefficient of the term {term} in the model of the torquer current i_{axis}", term=term, axis=axis)
+        for axis in "xy"
+        for term in flexure_gyro.static_model(products).names
     )
     return (*_GEOMETRY, *of_drifts, *of_outputs)
 

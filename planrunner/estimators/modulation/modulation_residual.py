@@ -269,8 +269,8 @@ def _cycles(
     declared = request.parameters.declared
     columns = (
         TableColumn("Navigation"),
-        TableColumn("residual of the stops", Role.VALUE, "s"),
-        TableColumn("residual of the turns", Role.VALUE, "s"),
+        TableColumn("residual of the stops, |∫exp(iθ) dt|", Role.VALUE, "s"),
+        TableColumn("residual of the turns, |∫exp(iθ) dt|", Role.VALUE, "s"),
         TableColumn("not modulated", Role.SHARE),
         TableColumn("velocity", Role.VALUE, "m/s"),
         TableColumn("predicted velocity", Role.VALUE, "m/s"),

@@ -46,8 +46,8 @@ class RockingDriftParameters(Record):
 
     release: Quantity = key(
         QuantityOf("time", "positive"),
-        "t0, time from the beginning of the record to the first window. Before this time, the element must have "
-        "left the dead zone of the levelling loop.",
+        "t0, time from the beginning of the record to the first window. Before this time, the stabilised element "
+        "of the platform must have left the dead zone of its levelling loop.",
         "60 s",
         default=parse_quantity("60 s"),
     )

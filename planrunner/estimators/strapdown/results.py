@@ -119,7 +119,7 @@ def _settings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
         "start_height": f"{found.site.height:.2f} m",
         "alignment": f"{found.aligned.seconds:.6g} s",
         "navigation": f"{found.seconds:.6g} s",
-        "innovations over noise": f"{found.aligned.alignment.consistency:.2g}",
+        "velocity innovations, relative to their expected size": f"{found.aligned.alignment.consistency:.2g}",
         "gyro noise seen": ", ".join(f"{value:.3g}" for value in white[:3]) + " deg/sqrt(h)",
         "accelerometer noise seen": ", ".join(f"{value:.3g}" for value in white[3:]) + " m/s/sqrt(h)",
     }
@@ -297,8 +297,8 @@ def _at_stops(request: EstimateRequest[StrapdownNavigationParameters], found: Na
         warnings.append(
             said(
                 "At the stops, the readings of {outputs} vary by up to {ratio:.2g} times the amount that noise explains. Flicker that "
-                "the bench file does not declare, a drift of another form, or a base that tilts can cause this. The uncertainties do "
-                "not include its effect.",
+                "the bench file does not declare, a drift whose form was not fitted, or a base that tilts can cause this. The "
+                "uncertainties do not include its effect.",
                 outputs=tuple(channels[k] for k in np.flatnonzero(drift.unexplained)),
                 ratio=float(drift.scatter.max()),
             )

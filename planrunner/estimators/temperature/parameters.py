@@ -72,7 +72,8 @@ class TemperatureModelParameters(Record):
     )
     bin: Quantity = key(
         QuantityOf("temperature", "positive"),
-        "Along a ramp, samples are averaged in bins of this width; temperatures closer than this are held out together.",
+        "Along a ramp, samples are averaged in bins of this width. In the cross-validation, temperatures that differ by less than this "
+        "width are left out together.",
         "2 K",
         default=parse_quantity("1 K"),
     )

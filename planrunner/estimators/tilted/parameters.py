@@ -30,7 +30,7 @@ class ScaleFactorTiltedParameters(Record):
         Choice(("corrected", "averaged", "ignored")),
         "Treatment of the component of the Earth rate perpendicular to the table's rotation axis. `corrected`: it is computed from "
         "latitude, fixture angles and azimuths; `averaged`: it averages to zero over whole turns, which are then required; `ignored`: "
-        "it is neglected. Only `corrected` removes it from F0.",
+        "it is neglected. Only `corrected` removes it from F0, the offset of the fitted line at zero rate.",
         "corrected",
         default="corrected",
     )
@@ -52,7 +52,8 @@ class ScaleFactorTiltedParameters(Record):
     )
     reference_temperature: Quantity = key(
         QuantityOf("temperature"),
-        "Reference temperature: K_x is taken from the tested temperature nearest to it, and temperature coefficients refer to it.",
+        "Reference temperature. The scale factor K_x of the x axis (and likewise K_y and K_z) is the one at the tested temperature "
+        "nearest to it. Temperature coefficients refer to it, too.",
         "20 degC",
         default=parse_quantity("20 degC"),
     )
@@ -64,7 +65,8 @@ class ScaleFactorTiltedParameters(Record):
     )
     remounting: Quantity = key(
         QuantityOf("time", "not negative"),
-        "Time to bring the chamber to room temperature, mount and align, for the comparison with one mounting per axis.",
+        "Time to bring the chamber to room temperature, and to mount and align the sensor once. The report uses it to compare the "
+        "duration of this test with that of a test with one mounting per axis.",
         "2 h",
         default=parse_quantity("2 h"),
     )

@@ -210,7 +210,8 @@ def _notes(
         time_note(seconds, len(axes.names), parameters.remounting.value),
         said(
             "Nonlinearity, response and offset are computed from the means over the repeats; asymmetry is "
-            "2·(K₊ − K₋)/(K₊ + K₋), where K₊ and K₋ are the slopes of two half-lines that meet at zero rate."
+            "2·(K₊ − K₋)/(K₊ + K₋), where K₊ and K₋ are the slopes of two half-lines that meet at zero rate. K' is the slope of the "
+            "output over the rate of the table; K is the slope over the rate about the axis."
         ),
     ]
     angles = _angles(situation, acting)

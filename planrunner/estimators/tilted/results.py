@@ -27,7 +27,9 @@ WORDS = {
     "F0": said("offset of the line at zero rate"),
     "nonlinearity": said("largest residual, divided by the largest output"),
     "asymmetry": said("difference between the scale factors at positive and negative rates, divided by their mean"),
-    "response": said("change of output between the lowest rates, divided by the expected change"),
+    "response": said(
+        "change of output between the two lowest rates (one of each sign, if both occur), divided by the change according to the line"
+    ),
     "repeatability": said("relative standard deviation of K between repeats"),
     "temperature_coefficient": said("slope of K over temperature, divided by K at the reference temperature"),
     "temperature_sensitivity": said(
