@@ -19,7 +19,8 @@ of this list, and states who acts and what to do. It replaces the words in itali
 --with EFFECT` adds an effect to a simulation, and the estimator [`error_model`](error-models.md) fits its parameters.
 
 Effects marked with † are used in simulations and estimates only. The diagnosis considers them only if you name them with `--given`. It
-also considers the effects of supply voltage and of ambient pressure if these two quantities vary in the recording.
+also considers the effects of the supply voltage if the voltage varies in the recording, and the effects of the ambient pressure if the
+pressure varies.
 """
 ACTORS = {
     Actor.BENCH: "the operator of the table, the chamber, the mounting and their synchronisation",
