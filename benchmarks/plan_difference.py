@@ -1,4 +1,4 @@
-"""Measures `planrunner diff` of two plans of 1000 segments in one process: reading, meanings, comparison and digests."""
+"""Measures `planrunner diff` of two plans of 1000 segments in one process: reading, canonical meanings, comparison and digests."""
 
 from __future__ import annotations
 

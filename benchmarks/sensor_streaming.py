@@ -146,7 +146,7 @@ def sustained(count: int, seconds: float) -> dict[str, object]:
         "frames recorded": sum(rows),
         "frames lost (target 0)": sum(count.lost for count in counts),
         "frames corrupt (target 0)": sum(count.corrupt for count in counts),
-        "frames dropped by a full ring (target 0)": sum(count.overflowed for count in counts),
+        "frames dropped because the buffer was full (target 0)": sum(count.overflowed for count in counts),
         "share of one processor [%]": 100 * used / took,
         "usual delay of a reading [ms]": 1e3 * max(count.details["usual_delay_s"] for count in counts),
         "largest delay of a reading [ms]": 1e3 * max(count.details["worst_delay_s"] for count in counts),
