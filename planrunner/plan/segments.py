@@ -127,8 +127,8 @@ class WatchSpec(Tolerated):
     )
     retakes: int = key(
         Number(0, 10, integer=True),
-        "How many times a segment is recorded again if it exceeds a limit. Then the run stops. The data of each rejected "
-        "attempt are kept, with the reason.",
+        "How many times a segment is recorded again if it exceeds a limit. If a limit is still exceeded after these retakes, "
+        "the run stops. The data of each rejected attempt are kept, with the reason.",
         2,
         default=0,
     )

@@ -271,7 +271,7 @@ def _cycles(
         TableColumn("Navigation"),
         TableColumn("residual of the stops, |∫exp(iθ) dt|", Role.VALUE, "s"),
         TableColumn("residual of the turns, |∫exp(iθ) dt|", Role.VALUE, "s"),
-        TableColumn("not modulated", Role.SHARE),
+        TableColumn("fraction of the error that is not modulated", Role.SHARE),
         TableColumn("velocity", Role.VALUE, "m/s"),
         TableColumn("predicted velocity", Role.VALUE, "m/s"),
         TableColumn("position", Role.VALUE, "m"),
@@ -317,7 +317,7 @@ def _predicted(
         ]
         rms = [float(np.sqrt(np.mean(one**2))) for one in radial]
         rows.append((item.name, item.rms, *rms))
-    titles = ("rms radial error", "predicted", "predicted from horizontal errors alone")
+    titles = ("rms radial error", "predicted", "predicted from horizontal sensor errors alone")
     columns = (TableColumn("Navigation"), *(TableColumn(title, Role.VALUE, "m") for title in titles))
     return [Table("Position errors predicted from the declared constant errors", columns, tuple(rows))]
 
