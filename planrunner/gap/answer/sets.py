@@ -117,8 +117,8 @@ def sets_of(
     best = max((weighing.evidence(c.log_bayes) for c in usable), default=-np.inf) + prior(1)
     if refit and level and max(one.evidence for one in level) + prior(2) > best + BENT:
         level += _with_output(weighing, usable, max(one.evidence for one in level))
-    level.sort(key=lambda one: one.evidence)
-    full = {one.key: one for one in level}
+    full = {one.key: one for one in sorted(level, key=lambda one: one.evidence)}  # of each set, the likeliest version
+    level = list(full.values())
     while level:
         level = sorted(level, key=lambda one: -one.evidence)
         count = len(level[0].members)
