@@ -92,7 +92,7 @@ def _sizes(piece: Array, sampling: float) -> Array:
     """Root mean square, of each triad alike, of as many polynomials as were taken out, from the next higher degree on."""
     degree = _degree(piece, sampling)
     next_ones = _polynomials(len(piece), range(degree + 1, 2 * degree + 1)).T @ piece
-    level = np.sqrt(np.mean(next_ones.reshape(degree, -1, 3) ** 2, axis=(0, 2)))
+    level = np.sqrt(np.mean(next_ones.reshape(degree, piece.shape[1] // 3, 3) ** 2, axis=(0, 2)))
     return np.tile(np.repeat(level, 3), (degree, 1))
 
 

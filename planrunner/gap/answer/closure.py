@@ -53,6 +53,9 @@ KINDS = ("gyro", "accel")
 FLICKER_LEVELS = (0.0, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)  # relative to the declared level
 EXCESS = 0.01  # p-value below which the residuals of a group contain more than noise
 SMALLEST = 1e-4  # of the measured variance of the noise, relative to its model
+WALKED = (
+    0.1  # share of the residuals within segments that must remain without a random walk for their level to be known
+)
 SHAPES = 6  # number of shapes of an effect besides the best one
 UNLIKELY = 8.0
 """A shape is omitted if its log probability is lower than the log probability of the most probable shape by more than this value
@@ -460,12 +463,14 @@ def measured_noise(
             weights = _with_measured_flicker(weighing, choice, weights, group, kind)
     left = _left(weighing, choice, weights, group)
     means = 2 * KINDS.index("gyro")
+    only_limit = np.arange(len(left.degrees)) == means
     if walking:
-        left = _without_walk(weighing, left, log_bayes, weights, group, means)
+        left, known = _without_walk(weighing, left, log_bayes, weights, group, means)
+        only_limit[means + 1] = not known
     from scipy.stats import chi2
 
     excess = chi2.sf(left.ratio * left.degrees, left.degrees) < EXCESS
-    limits = (excess | (walking & (np.arange(len(excess)) == means))) & (not explained)
+    limits = (excess | (walking & only_limit)) & (not explained)
     scale = np.sqrt(np.maximum(np.where(limits, np.minimum(left.ratio, 1.0), left.ratio), SMALLEST))
     return MeasuredNoise(tuple(weights), tuple(scale[own] for own in group), group, left.degrees, limits)
 
@@ -477,11 +482,12 @@ def _without_walk(
     weights: Sequence[ChannelWeights],
     group: tuple[NDArray[np.int64], ...],
     means: int,
-) -> _Left:
+) -> tuple[_Left, bool]:
     """Subtracts the expected energy of a random walk of the gyros from the residuals within the segments. The degrees of freedom of the
-    noise decrease, because the level of the random walk is uncertain. `log_bayes`: the same as in `measured_noise`. `means`: the noise
-    group of the means of the gyros."""
-    terms = (weighing.base + weighing.log_prior[1] + log_bayes).reshape(weighing.shape).max(axis=1)
+    noise decrease, because the level of the random walk is uncertain. If the random walk may be almost the whole of these residuals,
+    they do not show the level of the noise; the residuals are then unchanged, and the second result is False. `log_bayes`: the same as
+    in `measured_noise`. `means`: the noise group of the means of the gyros."""
+    terms = np.logaddexp.reduce((weighing.base + weighing.log_prior[1] + log_bayes).reshape(weighing.shape), axis=1)
     share = np.exp(terms - terms.max())
     gyros = weighing.observed.of_kind("gyro")
     energy = [
@@ -492,10 +498,12 @@ def _without_walk(
     walked = float(share @ energy)
     spread = float(share @ (np.array(energy) - walked) ** 2) + 2 * left.squares[within] ** 2 / left.degrees[within]
     squares, degrees, ratio = left.squares.copy(), left.degrees.copy(), left.ratio.copy()
-    squares[within] = max(squares[within] - walked, SMALLEST * degrees[within])
+    if squares[within] - walked < WALKED * squares[within]:
+        return left, False
+    squares[within] -= walked
     ratio[within] = squares[within] / degrees[within]
     degrees[within] = max(2 * squares[within] ** 2 / spread, 1.0)
-    return replace(left, squares=squares, degrees=degrees, ratio=ratio)
+    return replace(left, squares=squares, degrees=degrees, ratio=ratio), True
 
 
 @dataclass(frozen=True)

@@ -164,7 +164,7 @@ def posterior(
             ratios = np.ones(len(weighing.weights)) if walks else dispersions(weighing, chain[-1][1])
             if (ratios > 1).any():
                 wide = weighing.inflated(ratios.tolist())
-                again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, refit=False)
+                again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, sets)
                 named = _shared(
                     {name: value + log_prior(name, count) for name, value in again.items() if name in found}
                 )
@@ -233,10 +233,13 @@ def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, 
 
 
 def _of_effects(
-    weighing: Weighing, candidates: Sequence[Candidate], noise: _NoiseOnly, refit: bool = True
+    weighing: Weighing,
+    candidates: Sequence[Candidate],
+    noise: _NoiseOnly,
+    known: Mapping[str, EffectSet] | None = None,
 ) -> tuple[dict[str, float], dict[str, EffectSet]]:
     """Returns two results: the log evidence of the hypotheses relative to "none", for "none", for single effects and for sets of
-    effects; and the sets that were evaluated in full."""
+    effects; and the sets that were evaluated in full. `known`: the same as in `sets_of`."""
     nothing = np.zeros(len(weighing.base))
     start = weighing.evidence(nothing) + noise.declared
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
@@ -248,7 +251,7 @@ def _of_effects(
             present = [part for part in (name, noise.walk if walking else "", *other) if part]
             found[key_of(present) or "none"] = value + density
     count = _acting(found)
-    sets = sets_of(weighing, candidates, lambda size: _log_prior_of(size, count), len(walks) > 1, refit)
+    sets = sets_of(weighing, candidates, lambda size: _log_prior_of(size, count), len(walks) > 1, known)
     found |= {key: value + noise.declared - start for key, value in sets.quick.items()}
     for key, one in sets.full.items():
         for value, walking in ((one.evidence, False), (one.walking, True)):

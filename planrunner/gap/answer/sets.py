@@ -9,7 +9,7 @@ setting of the noise that has a noticeable weight. The best sets are also evalua
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -105,13 +105,19 @@ def key_of(names: Sequence[str] | Iterator[str]) -> str:
 
 
 def sets_of(
-    weighing: Weighing, candidates: Sequence[Candidate], prior: Callable[[int], float], walks: bool, refit: bool = True
+    weighing: Weighing,
+    candidates: Sequence[Candidate],
+    prior: Callable[[int], float],
+    walks: bool,
+    known: Mapping[str, EffectSet] | None = None,
 ) -> Sets:
     """Evaluates pairs and larger sets of effects that have signatures.
 
     `prior`: function that returns the log prior of one set of a given number of effects. `walks`: True if a random walk is a
-    hypothesis. `refit`: True to fit the shapes of the most probable set again.
+    hypothesis. `known`: the sets that were evaluated with another level of the noise. If it is given, no shape is fitted again, and
+    known sets in which an effect acts on the others keep their forms.
     """
+    refit = known is None
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     quick, level = _pairs(weighing, usable)
     best = max((weighing.evidence(c.log_bayes) for c in usable), default=-np.inf) + prior(1)
@@ -136,7 +142,20 @@ def sets_of(
             break
         level = _extended(weighing, likely, usable)
         full |= {one.key: one for one in level}
+    for key, one in (known or {}).items():
+        if one.on_others is not None:
+            again = replace(_evaluated(weighing, _weighed_again(weighing, one.members)), on_others=one.on_others)
+            full[key] = _walking(weighing, again) if np.isfinite(one.walking) else again
     return Sets(quick, full)
+
+
+def _weighed_again(weighing: Weighing, members: Sequence[Member]) -> tuple[Member, ...]:
+    """Evaluates the forms of the members with the noise of another weighing."""
+    found = []
+    for member in members:
+        (form,) = weighing.weigh([member.form.variant], member.form.raw)
+        found.append(replace(member, form=replace(form, held=member.form.held)))
+    return tuple(found)
 
 
 def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
@@ -272,24 +291,23 @@ def _around(weighing: Weighing, one: EffectSet, member: Member, effect: Curved) 
 def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
     """Evaluates an effect on the output again, at an output that contains the other effects of the set. The other effects are
     evaluated as this output shows them. This is more exact than the sum of the effects. For a strong effect, the result is therefore
-    rejected only if it is clearly less likely than this sum."""
+    rejected only if it is clearly less likely than this sum. A set with two effects on the output is returned unchanged."""
     acting = [(k, on_output(m.candidate.effect)) for k, m in enumerate(one.members) if is_whole(m.form.variant.columns)]
     number, effect = next(((k, effect) for k, effect in acting if effect is not None), (0, None))
     others = [member for k, member in enumerate(one.members) if k != number]
-    found, _ = weighing.amplitudes(one.weighed, walking=False)
-    columns = [columns_of(weighing, m.candidate.effect, m.form, found[one.columns(m.id)]) for m in others]
-    if effect is None or not all(columns):
+    if effect is None or sum(acts is not None for _, acts in acting) > 1:
         return one
-    every = [column for own in columns for column in own]
-    best, before = one, np.full(len(every), np.inf)
+    best, before = one, np.full(len(one.weighed.score[0]) - 1, np.inf)
     least = one.evidence - (WORTHWHILE if one.members[number].form.held else 0.0)
     for _ in range(_ROUNDS):
         own = one.columns(effect.id)
         amplitudes, covariance = weighing.amplitudes(one.weighed, walking=False)
         free = np.delete(np.arange(len(amplitudes)), own)
         now, spread = amplitudes[free], np.sqrt(np.diag(covariance)[free])
-        if (np.abs(now - before) < _SAME * spread).all():
+        columns = [columns_of(weighing, m.candidate.effect, m.form, amplitudes[one.columns(m.id)]) for m in others]
+        if (np.abs(now - before) < _SAME * spread).all() or not all(columns):
             break
+        every = [column for each in columns for column in each]
         acted, before = on_others(weighing, effect, one.members[number].form, every, now), now
         if acted is None:
             break

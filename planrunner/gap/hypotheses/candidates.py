@@ -296,9 +296,9 @@ class Weighing:
     ) -> list[Array]:
         """Returns, for each channel, the values (q,) of its nominal parameters in magnitudes, in the order of its columns in
         `whole`. The values are fitted by least squares to all coefficients, weighted according to the most probable noise once it
-        is known. `taken`: for each channel, the coefficients (M,) that
-        an effect explains; they are subtracted before the fit. `change`: for each channel, the change (M, q) of the effect per
-        magnitude of each nominal parameter, which is added to the columns of the parameters."""
+        is known. `taken`: for each channel, the coefficients (M,) that an effect explains; they are subtracted before the fit.
+        `change`: for each channel, the change (M, q) of the effect per magnitude of each nominal parameter, which is added to the
+        columns of the parameters."""
         found = []
         for index, whole in enumerate(self.whole):
             nominal = whole if change is None else whole + change[index]

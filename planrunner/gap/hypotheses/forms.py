@@ -91,7 +91,8 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
             if not whole:
                 before = usable
                 usable, log_bayes = _resettled(weighing, effect, usable, log_bayes)
-                settled, whole = usable is not before, _held(weighing, effect, usable)
+                settled = usable is not before
+                whole = _held(weighing, effect, usable) if settled else ()
             if whole:
                 usable, settled = [form for form, _ in whole], True
                 log_bayes = _averaged(usable)
@@ -106,11 +107,12 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
     """Evaluates a strong nonlinear effect with its secants at the most probable amplitudes. The secants are computed again until the
     amplitudes no longer change. A secant is exact at its amplitude, and it has as many parameters as the linear approximation. It is
     therefore used even if it explains the data no better. It is rejected only if it explains the data clearly worse."""
+    least = float(log_bayes.max()) - _WORSE
     for _ in range(_SETTLING):
         (best,) = usable
         size = np.array([column.magnitude for column in best.variant.columns])
         (again,) = weighing.weigh(effect.around(weighing.observed, best.amplitudes[0] * size))
-        if float(again.log_bayes.max()) < float(log_bayes.max()) - _WORSE:
+        if float(again.log_bayes.max()) < least:
             break
         moved = again.amplitudes[0] - best.amplitudes[0]
         usable, log_bayes = [again], again.log_bayes

@@ -22,6 +22,9 @@ from planrunner.gap.hypotheses.candidates import Weighing
 _WIDTHS = (30.0, 10.0, 3.0, 1.0)
 """Steps of the differences that replace derivatives in the first iterations, in standard uncertainties of the output."""
 _ROUNDS = 9  # iterations of Gauss–Newton
+_ROUNDING = 1e-6
+"""Change of the output per change of the nominal output below which the output counts as constant. The rest is rounding error, which
+must not count as information about the parameters."""
 _STILL = 0.1  # standard deviations of the noise by which the effect may still change
 
 
@@ -123,6 +126,7 @@ def _slopes(effect: Shaped, shape: float, seen: Observed, step: Array) -> dict[i
     for channel in sorted(more.parts.keys() & less.parts.keys()):
         rise, run = more.parts[channel] - less.parts[channel], 2 * step[:, channel]
         slope = np.divide(rise, run, out=np.zeros(len(run)), where=run > 0)
+        slope[np.abs(1 + slope) < _ROUNDING] = -1.0
         if slope.any():
             found[channel] = slope
     return found
