@@ -13,7 +13,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import closure, measured_noise, predictions, whole_choices
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.forms import whole_forms
+from planrunner.gap.hypotheses.forms import _evidence, whole_forms
 from planrunner.gap.hypotheses.operating_point import operating_point, settled
 from tests.gap.test_closure import holds
 from tests.gap.turntable import DEG, record
@@ -144,3 +144,13 @@ def test_outputs_that_only_seem_to_be_in_a_dead_zone_leave_it() -> None:
         parameters = diagnose(_with_dead_zone(seed, 0.1 * DEG)[0]).parameters
         found += [one.value for one in parameters if one.effect == "gyro_dead_zone"]
     assert sum(abs(width - 0.1) < 0.002 for width in found) >= 4, found
+
+
+def test_a_limit_at_zero_explains_nothing() -> None:
+    """With a limit near zero, no output remains, and the nominal parameters explain the effect completely. What is left of its signature
+    are rounding errors, which must not count as evidence."""
+    weighing = Weighing(record(seed=3, sampling=SAMPLING))
+    (form,) = weighing.weigh([GyroSaturation().at(weighing.seen(), 1e-11)])
+    assert _evidence(weighing, form) == weighing.evidence(np.zeros(len(weighing.base)))
+    (effective,) = weighing.weigh([GyroSaturation().at(weighing.seen(), 60.0)])
+    assert _evidence(weighing, effective) < _evidence(weighing, form)

@@ -226,6 +226,7 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
 
 
 _STEPS = 20
+_STEPS_BESIDE = 3  # steps beside other effects, whose amplitudes are fitted again before the next steps
 _ROUNDS = 15
 _SAME = 0.05  # standard deviations by which two shapes may differ and count as the same
 _DROP = 0.5  # nats below the best: one standard deviation
@@ -277,7 +278,7 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
     best, values = (near, None) if near is not None else _start(weighing, effect)
     shape, last, acting = float(best.variant.shape or 0.0), np.nan, on_output(effect)
     visited: list[tuple[float, _Found]] = []
-    for _ in range(_STEPS):
+    for _ in range(_STEPS if near is None else _STEPS_BESIDE):
         values = _together(weighing, effect, best, values)
         seen, before, last = weighing.seen(values), last, shape
         along = weighing if acting is None else moving(weighing, acting, shape, values, columns)
@@ -374,12 +375,17 @@ def on_others(
     for one, share in forms:
         raw = [block + more[:, None] for block, more in zip(one.raw, shown, strict=True)]
         (weighed,) = weighing.weigh([one.variant], raw)
+        if weighed.kept <= ABSORBED:  # a limit near zero, for example, leaves nothing of the output
+            return None
         made.append((replace(weighed, held=True), share))
     return OnOthers(tuple(made), tuple(others), point)
 
 
 def _evidence(weighing: Weighing, form: Weighed) -> float:
-    """Returns the log evidence of a form with the amplitude 1, up to a constant that is the same for all forms."""
+    """Returns the log evidence of a form with the amplitude 1, up to a constant that is the same for all forms. A form that the nominal
+    parameters absorb explains nothing; its score would consist of rounding errors."""
+    if form.kept <= ABSORBED:
+        return weighing.evidence(np.zeros(len(weighing.base)))
     return weighing.evidence(form.score[:, 0] - 0.5 * form.gram[:, 0, 0])
 
 
