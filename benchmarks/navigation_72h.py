@@ -77,7 +77,7 @@ def run(size: Size = FULL) -> dict[str, object]:
     short, long = (figures_of(whole, length, size.hertz, separate=size.separate) for length in (hours / 12, hours))
     return {
         f"{hours:g} h at {size.hertz:g} Hz, end to end [s]": long["seconds"],
-        "samples × channels recorded [GB]": long["gigabytes"],
+        "size of the recorded samples of all channels [GB]": long["gigabytes"],
         "resulting CEP rate [nmi/h]": long["cep"],
         f"peak memory at {hours / 12:g} h [MB]": short["peak"],
         f"peak memory at {hours:g} h [MB]": long["peak"],
