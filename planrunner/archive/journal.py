@@ -40,7 +40,7 @@ def utc_now() -> str:
 
 @lru_cache(maxsize=1)
 def _whole_second(seconds: int) -> str:
-    """Converts a time to whole seconds since 1970, UTC."""
+    """Converts a number of whole seconds since 1970-01-01 UTC to a date and time, ISO 8601, without the offset from UTC."""
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%S")
 
 

@@ -228,8 +228,9 @@ def _doubted(
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
-    """Returns a `DoubtedDrift` for the drift function if there are few degrees of freedom and the `probability` that chance
-    explains the data is small enough; otherwise an empty tuple. `plain`: the fits of the outputs without the drift function."""
+    """Returns a `DoubtedDrift` if the drift function, which is not fitted, may be real: if the `probability` that chance explains
+    the data is below `DOUBTED`, and a fit with the drift function has fewer than `FEW` degrees of freedom. Otherwise, returns an
+    empty tuple. `plain`: the fits of the outputs without the drift function."""
     found = fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()

@@ -239,5 +239,6 @@ def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | 
 
 
 def _largest(designs: Sequence[_Design], orders: NDArray[np.int64]) -> Array:
-    """Returns the largest growth factor over all designs, for each of k orders, shape (k,)."""
+    """Returns, for each of k orders of the segments, the largest factor by which a standard uncertainty of any design grows if the
+    drift is fitted, shape (k,). `orders`: as in `_Design.reordered`."""
     return np.asarray(np.max([design.reordered(orders).max(axis=1) for design in designs], axis=0))

@@ -1,5 +1,6 @@
-"""Computes the expected results of a schedule before anything is recorded. These are the design matrices of segments at rest, the
-noise of their means, and a recording. The segments of this recording have the means of a nominal sensor and the declared noise.
+"""Computes what a schedule is expected to give, before anything is recorded: the design matrices of segments at rest, the noise of
+the means of these segments, and an expected recording. The segments of the expected recording have the means that a nominal sensor
+would give, and the declared noise.
 
 From the expected recording, an estimator computes the nominal value of every coefficient of a run
 (`planrunner.estimators.method`). For quantities that neither the plan nor the bench states, two different sets of values are

@@ -97,8 +97,8 @@ class ErrorEquations:
         return found
 
     def levelled(self) -> Array:
-        """Computes the tilt after an alignment at rest for a constant error of 1 rad/s or 1 m/s² in each input, shape (3, 6). This
-        tilt belongs to the stationary solution.
+        """Computes the tilt after an alignment at rest for a constant error of 1 rad/s or 1 m/s² in each input, shape (3, 6). With
+        this tilt and without errors of position and velocity, the derivatives δv̇_E, δv̇_N and φ̇_E are zero.
 
         For the errors ε and ∇, it is φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L). φ_U is the limit of accuracy
         of gyrocompassing.

@@ -42,8 +42,9 @@ def cardinal_orientations() -> tuple[Matrix, ...]:
 
 
 def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
-    """Writes the orientation as a plan states it: in words if the axes are cardinal, otherwise in the nearest words with turns
-    about x, y and z in this order."""
+    """Returns the text with which a plan states the orientation. If the axes are cardinal, the text is words only. Otherwise, it
+    gives the nearest cardinal orientation in words, followed by the turns about x, y and z (in this order) that lead from there to
+    the orientation."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     turns = [
         f"{axis} {_degrees(angle, decimals)} deg"

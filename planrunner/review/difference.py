@@ -469,7 +469,8 @@ def _half_digit(quantity: Quantity) -> float:
 
 
 def in_words(branch: Branch) -> str:
-    """Returns a part of a meaning as one line for readers; empty if the part states nothing."""
+    """Returns the text of one part of a plan or bench (a branch of its `Meaning`), in one line. The text is empty if the part states
+    nothing."""
     if isinstance(branch, StatedValue):
         return "" if branch.content is None else branch.shown
     if isinstance(branch, dict):

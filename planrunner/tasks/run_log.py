@@ -163,8 +163,8 @@ def _check_head(found: LogVerification, content: LogContent, name: str, one: Rem
 class _History:
     """Contains the entries of the log about one run.
 
-    `begun`: True if the run was made in this archive. `journals`: for each entry in the log, maps the number of events that the
-    journal had at that time to the digest of the last of these events. `seals`: SHA-256 of each seal of the run.
+    `begun`: True if the run was made in this archive. `journals`: the states of the journal that the entries record. It
+    maps the number of events in each state to the digest of the last of these events. `seals`: SHA-256 of each seal of the run.
     """
 
     begun: bool = False

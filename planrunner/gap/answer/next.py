@@ -383,8 +383,8 @@ def _warmth(segment: Segment) -> float | None:
 
 
 def _needed(rivals: Sequence[Rival], chosen: list[Foreseen], size: int) -> list[Foreseen]:
-    """Removes chosen segments that are not needed to reach the target probability. If all chosen segments together do not reach the
-    target, the probability that they reach becomes the target."""
+    """Removes chosen segments that are not needed to reach the target probability. If even all chosen segments together give a lower
+    probability than this target, their probability (less a small margin) is the target instead."""
     aim = min(AIM, expected_probability(rivals, _sum(chosen, size)) - 1e-4)
     index = 0
     while index < len(chosen) and len(chosen) > FEWEST:

@@ -255,9 +255,9 @@ def _roots(observed: Observed) -> Array | None:
 
 
 def band_edges(half: float) -> Array:
-    """Returns the edges of the frequency bands, Hz, shape (B + 1,). The bands are octaves. Each upper octave is divided into four
-    bands, and the lowest band contains all lower frequencies. `half`: half of the sampling rate, which is the upper edge of the
-    highest band."""
+    """Returns the edges of the frequency bands, Hz, shape (B + 1,). Each of the `FINE` highest octaves is divided into four
+    bands of equal width. Each octave below them is one band. The lowest band contains all frequencies below the lowest octave.
+    `half`: half of the sampling rate, which is the upper edge of the highest band."""
     octaves = 2.0 ** -np.arange(OCTAVES, -1, -1)
     fine = [np.linspace(low, 2 * low, 5)[1:] for low in octaves[-FINE - 1 : -1]]
     return half * np.concatenate([[0.0], octaves[: OCTAVES - FINE + 1], *fine])

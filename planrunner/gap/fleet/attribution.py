@@ -310,9 +310,10 @@ class _Model:
 
     @cached_property
     def _moments(self) -> tuple[Array, list[Array], list[Array], Array, Array]:
-        """Returns the weights (Q,) of the Q points of the grid whose weight is noticeable. For these points, it also returns the
-        means (Q, m) and variances (Q, m) of the parts of each component. The last two results are the joint mean (Q, M) and
-        covariance (Q, M, M) of all parts that belong to groups of several runs."""
+        """Returns the weights (Q,) of the Q points of the grid whose weight is noticeable. For each component, it also returns the
+        means (Q, m) and variances (Q, m) of the component's m parts at these points. A part is the contribution of one group of
+        runs, such as all runs of one device. The last two results are the joint mean (Q, M) and covariance (Q, M, M) of the parts
+        of all components, except a component in which every run is a group of its own."""
         points, weights, _ = self._grid
         kept = weights > _CONSIDERED * weights.max()
         points, weights = points[kept], weights[kept] / weights[kept].sum()

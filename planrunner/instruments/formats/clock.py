@@ -102,7 +102,8 @@ def seconds_in(texts: pa.Array, where: PlaceOfText, dates: DateOrder) -> Array:
 
     `where`: names the place of a text. `dates`: the order of day and month. Raises `InstrumentError` for a text that is not a time,
     and for texts of which only some contain a date. The error is a `NoTimesError` if none of the texts is a time. While `dates` is
-    undecided, a date that does not exist in the usual order gives NaN instead."""
+    undecided, dates with slashes are read with the month first, and other dates with the day first. A date that does not exist in
+    this order then gives NaN and no error."""
     import pyarrow as pa
     import pyarrow.compute as pc
 

@@ -47,7 +47,7 @@ _ABSENT = object()
 
 
 class JsonKeys(Record):
-    """Declares the bench-file keys of a JSON file."""
+    """Declares the keys with which a bench file describes a JSON file of samples."""
 
     samples: str | None = optional(
         Text(r"[^\x00-\x1f]{1,200}", "the name of a list"),

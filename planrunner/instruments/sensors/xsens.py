@@ -2,8 +2,8 @@
 frame.
 
 A message consists of the bytes FA FF, its identifier, the length of its data, the data, and a last byte that makes the sum of all
-bytes after FA zero. The data of an MTData2 message are packets. Each packet consists of an identifier, whose low bits encode the
-number format, a length and its content.
+bytes after FA zero. The data of an MTData2 message are packets. Each packet consists of an identifier, a length
+and its content. The low bits of the identifier encode the number format.
 """
 
 from __future__ import annotations
