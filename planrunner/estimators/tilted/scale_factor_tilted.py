@@ -4,9 +4,9 @@
 For each temperature and repeat, F_r is the mean of the zero readings before and after the rates. The line F_j − F_r = K·cos θ·ω_j +
 F_0 + ν_j is fitted by ordinary least squares to the outputs F_j at the rates ω_j. The names of the metrics follow IEEE 952 and
 1431. The source does not treat the Earth's rotation. The component of this rotation along the rotation axis of the table is the
-same in F_j and F_r, so it cancels. The other components change as the table turns, so their average over whole turns in F_j
-is zero. These other components remain in the zero readings F_r at the home position. Therefore, F_0 contains these components
-if they are not corrected.
+same in F_j and F_r, so it cancels. The other components change as the table turns, so their average over whole turns in F_j is
+zero. These other components remain in the zero readings F_r at the home position. Therefore, F_0 contains these components if they
+are not corrected.
 """
 
 from __future__ import annotations

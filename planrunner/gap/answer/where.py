@@ -1,16 +1,16 @@
 """Locates the gap: determines the channel, the factor that the gap follows, and the most conspicuous level of this factor. If the
 catalogue does not contain the cause, also determines the form of the gap along this factor.
 
-The factors are orientation, rate, temperature, time, angle of the table, and frequency band. The open set
-(`hypotheses.open_set`) contains patterns of the whitened residual that effects of the catalogue do not cause. Each pattern
-implies the factor that the gap follows. The evidence for these patterns determines which factor the whitened residual of a channel follows. The levels of a
-factor are compared by a score. The score of a level states by how many standard deviations its energy exceeds the energy that pure
-noise would have. Many levels are examined, so a single high score may be chance. Therefore, pure noise is simulated and projected
-like the data. The p-value of a level is the probability that, in pure noise, the highest score of all levels reaches the score of
-this level (max-statistic parametric bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
+The factors are orientation, rate, temperature, time, angle of the table, and frequency band. The open set (`hypotheses.open_set`)
+contains patterns of the whitened residual that effects of the catalogue do not cause. Each pattern implies the factor that the gap
+follows. The evidence for these patterns determines which factor the whitened residual of a channel follows. The levels of a factor
+are compared by a score. The score of a level states by how many standard deviations its energy exceeds the energy that pure noise
+would have. Many levels are examined, so a single high score may be chance. Therefore, pure noise is simulated and projected like
+the data. The p-value of a level is the probability that, in pure noise, the highest score of all levels reaches the score of this
+level (max-statistic parametric bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
 
-The patterns of the open set compete with the effects of the catalogue. The most probable pattern determines the factor
-that an unknown gap follows. The residuals of the simulation give the form of this gap.
+The patterns of the open set compete with the effects of the catalogue. The most probable pattern determines the factor that an
+unknown gap follows. The residuals of the simulation give the form of this gap.
 """
 
 from __future__ import annotations
