@@ -289,16 +289,16 @@ def _around(weighing: Weighing, one: EffectSet, member: Member, effect: Curved) 
 
 
 def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """Evaluates an effect on the output again, at an output that contains the other effects of the set. The other effects are
-    evaluated as this output shows them. This is more exact than the sum of the effects. For a strong effect, the result is therefore
-    rejected only if it is clearly less likely than this sum. A set with two effects on the output is returned unchanged."""
-    acting = [(k, on_output(m.candidate.effect)) for k, m in enumerate(one.members) if is_whole(m.form.variant.columns)]
+    """Evaluates a strong effect on the output again, at an output that contains the other effects of the set. The other effects are
+    evaluated as this output shows them. This is more exact than the sum of the effects. The result is therefore rejected only if it
+    is clearly less likely than this sum. A set with two such effects is returned unchanged."""
+    acting = [(k, on_output(m.candidate.effect)) for k, m in enumerate(one.members) if m.form.held]
     number, effect = next(((k, effect) for k, effect in acting if effect is not None), (0, None))
     others = [member for k, member in enumerate(one.members) if k != number]
     if effect is None or sum(acts is not None for _, acts in acting) > 1:
         return one
     best, before = one, np.full(len(one.weighed.score[0]) - 1, np.inf)
-    least = one.evidence - (WORTHWHILE if one.members[number].form.held else 0.0)
+    least = one.evidence - WORTHWHILE
     for _ in range(_ROUNDS):
         own = one.columns(effect.id)
         amplitudes, covariance = weighing.amplitudes(one.weighed, walking=False)
