@@ -1,24 +1,26 @@
-"""Measures the closure: the relative reduction of the gap by an effect. The measurement uses held-out segments, which were not used
-to choose or fit the effect.
+"""Measures the closure: the relative reduction of the gap by an effect. The gap is the difference between a recording and its
+simulation. The closure is measured in held-out segments, which were not used to choose or fit the effect.
 
-Segments are held out in groups. Each group contains segments of every kind of motion, and for each group the effect is chosen again
-from the other segments. The difference d between the predictions with and without the effect is then known exactly. Only the gap g
-is unknown. The size of the gap is |g| without the effect, and |g − d| with it. The result is an average over the following two
-cases, weighted by their probabilities in the diagnosis.
+Segments are held out in groups. Each group contains segments of every kind of motion, and for each group the effect is chosen and
+fitted again with the other segments only. The difference d between the predictions with and without the effect is then known
+exactly. The gap g is not known exactly, because the data contain noise. The size of the gap is |g| without the effect, and |g − d|
+with it. The result is an average over the following two cases, weighted by their probabilities in the diagnosis.
 
-- An effect or pair of the catalogue is the whole cause. Then g is the signature of this cause, with amplitudes that are estimated
-  from all segments. The errors of the amplitudes have the covariance that follows from the noise.
-- Something else acts, additionally or alone. Let r = g + noise be the held-out residual of the nominal simulation, whitened with
-  the uncertainty of its fitted parameters. The component of g along d is then measured with unit noise. The size of the other
+- An effect or pair of the catalogue is the whole cause. Then g is the signature of this cause, that is, its change of the outputs.
+  The amplitudes of the signature are estimated from all segments. The errors of the amplitudes have the covariance that follows
+  from the noise.
+- Something else acts, additionally or alone. Let r = g + noise be the residual of the nominal simulation in the held-out segments.
+  It is whitened: after this transformation, its errors are independent and have unit variance. These errors include the uncertainty
+  of the fitted nominal parameters. The component of g along d is then known with a standard deviation of 1. The size of the other
   component follows from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability,
   2016).
 
-Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only half and
-twice its level. The level is therefore measured from the residuals that the most probable effects leave: separately for gyros and
-accelerometers, and for the segment means and the changes within segments. A level from few residuals is uncertain, so errors have
-Student's t distribution with their degrees of freedom. The level of flicker relative to the other noise is measured from the same
-residuals. This matters because flicker is correlated between segments: it hides slow effects, and it cancels in differences between
-neighbouring segments, which show fast effects.
+Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only the
+declared level, half of it and twice it. The level is therefore measured from the residuals that the most probable effects leave:
+separately for gyros and accelerometers, and for the segment means and the changes within segments. A level from few residuals is
+uncertain, so errors have Student's t distribution with their degrees of freedom. The level of flicker relative to the other noise
+is measured from the same residuals. This matters because flicker is correlated between segments: it hides slow effects, and it
+cancels in differences between neighbouring segments, which show fast effects.
 """
 
 from __future__ import annotations
@@ -46,9 +48,9 @@ LEVELS = 40  # random levels of the noise, among which the draws for an unknown 
 SEED = 21
 WIDEST = 0.5  # width of an interval above which the closure is not resolvable
 TOLD = 0.5
-"""Smallest fraction t of the energy of an effect that the other segments must determine. Even if the effect is the whole cause, it
-shrinks the gap of the held-out segments only by 1 − √(1 − t), which is 0.29 at this limit. With a smaller t, the closure would
-describe the plan, not the effect."""
+"""Smallest fraction t of an effect's energy in the held-out segments that the other segments must determine. If they determine
+less, the closure is not measured. Even if the effect is the whole cause, it shrinks the gap of the held-out segments only by 1 −
+√(1 − t), which is 0.29 at this limit. With a smaller t, the closure would describe the plan, not the effect."""
 KINDS = ("gyro", "accel")
 FLICKER_LEVELS = (0.0, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)  # relative to the declared level
 EXCESS = 0.01  # p-value below which the residuals of a group contain more than noise
@@ -82,9 +84,9 @@ class ChannelClosure:
 
 class NotMeasured(StrEnum):
     """Reasons why there is no closure. NO_EFFECT: no effect is named. RANDOM: the named effects are random processes or act only on
-    the noise; the other segments do not determine how such effects act in the held-out segments. FEW_SEGMENTS: there are fewer than
-    six segments. NOT_REPEATED: the other segments contain too little information about the effect. WIDE: the 90 % interval is too
-    wide, or the gap may be zero."""
+    the noise; the segments that are used for the fit do not determine how such effects act in the held-out segments. FEW_SEGMENTS:
+    there are fewer than six segments. NOT_REPEATED: the segments that are used for the fit contain too little information about the
+    effect. WIDE: the 90 % interval of the reduction is too wide, or the gap may be zero."""
 
     NO_EFFECT = "no effect"
     RANDOM = "random"
@@ -104,14 +106,14 @@ class Repetition:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Contains the result of the check on held-out data, which shows how much of the gap the effects explain.
+    """Contains the result of the check on held-out data. The result shows how much of the gap the named effects explain.
 
     `before`, `after`: size of the held-out gap without and with the effects, in standard deviations of the noise, root mean square
     over coefficients. `shrinks_by`: relative reduction, 1 for a closed gap. `interval_90`: 90 % interval of `shrinks_by`. `reason`:
     why the data do not determine the reduction (all numbers are then NaN), or None. `channels`: one entry for each channel whose
-    data determine the reduction. `unpredicted`: named effects that the other segments cannot predict; their part of the gap
-    remains. `repetition`: if the reason is `NOT_REPEATED`, the reduction in a repetition of the same segments, or None if the data
-    do not determine it.
+    data determine the reduction. `unpredicted`: named effects that cannot be predicted in the held-out segments from the other
+    segments; their part of the gap remains. `repetition`: if the reason is `NOT_REPEATED`, the reduction in a repetition of the
+    same segments, or None if the data do not determine it.
     """
 
     before: float
@@ -135,11 +137,14 @@ def not_measured(reason: NotMeasured) -> Closure:
 @dataclass(frozen=True, slots=True)
 class FoldChoice:
     """Describes a form of an effect, or of a set of effects, that can be chosen in a fold. A fold is a group of held-out segments.
+    A form is an effect at one value of its shape, such as a time constant.
 
-    `effect`: name of the effect or set. `raw`: for each channel, the columns (M, p) of the form in magnitudes, not whitened.
-    `widths`: number of columns of each effect. `probability`: probability that this form is the whole cause. `prior`: log prior
-    probability of this form among the forms of the same effect, up to a constant. `fixed`: the columns whose amplitude physics fixes
-    at 1, so that it is not fitted. `point`: for effects on the output, how they change with the nominal parameters.
+    `effect`: name of the effect or set. `raw`: for each channel, the coefficients (M, p) that the p columns of the form cause, not
+    whitened; each column has an amplitude of one magnitude (the prior scale of the amplitude). `widths`: number of columns of each
+    effect. `probability`: probability that this form is the whole cause. `prior`: log prior probability of this form among the
+    forms of the same effect, up to a constant. `fixed`: the columns whose amplitude physics fixes at 1, so that it is not fitted.
+    `point`: for an effect on the output of the sensor, such as a dead zone, how it changes with the nominal parameters; otherwise
+    None.
     """
 
     effect: str
@@ -156,7 +161,8 @@ class FoldChoice:
         return [column for column in range(sum(self.widths)) if column not in self.fixed]
 
     def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
-        """Computes mean (p,) and covariance (p, p) of the amplitudes from the score (p,) and the information (p, p)."""
+        """Computes the mean (p,) and the covariance (p, p) of the amplitudes from their information matrix `gram` (p, p) and their
+        score vector `score` (p,)."""
         mean: Array = np.ones(len(score))
         covariance, free = np.zeros_like(gram), self.free
         if len(free):
@@ -166,7 +172,8 @@ class FoldChoice:
         return mean, covariance
 
     def log_bayes(self, gram: Array, score: Array) -> float:
-        """Computes the log Bayes factor of the choice from the score (p,) and the information (p, p) of its amplitudes."""
+        """Computes the log Bayes factor of the choice from the information matrix `gram` (p, p) and the score vector `score` (p,)
+        of its amplitudes."""
         fixed, free = list(self.fixed), self.free
         found = float(score[fixed].sum() - 0.5 * gram[fixed][:, fixed].sum())
         if len(free):
@@ -175,7 +182,7 @@ class FoldChoice:
         return found
 
     def _starts(self) -> list[tuple[int, int]]:
-        """Returns the number of columns of each effect, and the number of its first column."""
+        """Returns, for each effect, the number of its columns and the index of its first column."""
         return list(zip(self.widths, np.cumsum([0, *self.widths[:-1]]).tolist(), strict=True))
 
 
@@ -183,11 +190,12 @@ class FoldChoice:
 class MeasuredNoise:
     """The measured noise of the coefficients.
 
-    `weights`: weights of each channel, at the most probable level of flicker. `scale`: for each channel (M,), measured standard
-    deviation of the whitened coefficients, which is 1 if `weights` are right. `group`: for each channel (M,), the number of the
-    noise group to which each coefficient belongs. `degrees`: array of shape (groups,), degrees of freedom of the measured level of
-    each group. `limits`: array of shape (groups,), True if the level is only an upper limit, because the residuals contain a part of
-    the gap and exceed the noise of the model.
+    `weights`: weights that whiten the coefficients of each channel, at the most probable level of flicker. `scale`: for each
+    channel, an array (M,): the measured standard deviation of the whitened coefficients, which is 1 if `weights` are right.
+    `group`: for each channel, an array (M,): the index of the noise group of each coefficient. A noise group contains the segment
+    means of one triad, or the changes within the segments of one triad. `degrees`: array of shape (groups,), degrees of freedom of
+    the measured level of each group. `limits`: array of shape (groups,), True if the level is only an upper limit, because the
+    residuals contain a part of the gap and exceed the noise of the model.
     """
 
     weights: tuple[ChannelWeights, ...] = field(repr=False)
@@ -210,8 +218,8 @@ class NoiseLevels:
 
     def drawn(self, draw: np.random.Generator) -> Array:
         """Draws random variances (`LEVELS`, m) of the noise of each residual, relative to the measured variance: ν/χ², where χ² has
-        ν degrees of freedom. If the measured variance is only an upper limit, the variance is any share of this limit, with equal
-        probability."""
+        ν degrees of freedom. If the measured variance is only an upper limit, the variance is drawn uniformly between 0 and this
+        limit."""
         variances = self.degrees / draw.chisquare(self.degrees, (LEVELS, len(self.degrees)))
         share = draw.uniform(size=(LEVELS, 1))
         return np.where(self.limits, share, variances)[:, self.group]
@@ -220,9 +228,9 @@ class NoiseLevels:
 @dataclass(frozen=True)
 class Amplitudes:
     """Contains the amplitudes that are fitted to all segments. `mean`: array of shape (p,), mean of the amplitudes. `roots`: array
-    of shape (groups + 1, p, p), one root of the covariance for the errors that each noise group causes, and one further root for
-    the prior. `degrees`: array of shape (groups + 1,), degrees of freedom of each root, as in `MeasuredNoise`, and infinite for the
-    prior.
+    of shape (groups + 1, p, p), square roots of the parts of the covariance: one for the errors that each noise group causes, and a
+    last one for the prior. `degrees`: array of shape (groups + 1,), degrees of freedom of each part, as in `MeasuredNoise`;
+    infinite for the prior.
     """
 
     mean: Array
@@ -241,8 +249,8 @@ class Amplitudes:
 @dataclass(frozen=True)
 class KnownCause:
     """Describes a cause from the catalogue. Let d be the difference between the predictions with and without the chosen effect.
-    `gram`: array of shape (p, p), inner products of the held-out signatures of the cause with each other. `along`: array of shape
-    (p,), inner products of these signatures with d."""
+    `gram`: array of shape (p, p), inner products of the signatures of the cause, in the held-out segments, with each other.
+    `along`: array of shape (p,), inner products of these signatures with d."""
 
     probability: float
     gram: Array = field(repr=False)
@@ -277,8 +285,8 @@ def choices_of(
 ) -> list[FoldChoice]:
     """Returns the choices for an effect or a set of effects. The first choice has the best form of each effect. In every other
     choice, one effect has another probable form instead of its best one. `members`: for each effect, its best form, and the
-    candidate with all forms of this effect. `acting`: an effect on the output which acts on the other effects, and its place among
-    the members; None if there is no such effect."""
+    candidate with all forms of this effect. `acting`: an effect on the output that also changes the other effects (for example a
+    limit of the output), and its index among the members; None if there is no such effect."""
     best = [form for form, _ in members]
     varied = [(best, 0.0)]
     for number, (form, candidate) in enumerate(members):
@@ -321,7 +329,8 @@ def whole_choices(
 
 
 def _operating_point(weighing: Weighing, members: Sequence[tuple[Weighed, Candidate]]) -> OperatingPoint | None:
-    """Returns the operating point of the first effect on the output among `members`; None if there is no such effect."""
+    """Returns the operating point of the first effect among `members` that acts on the output of the sensor; None if there is no
+    such effect. The operating point is the set of nominal parameters about which the effect is linearised."""
     for number, (form, candidate) in enumerate(members):
         effect = on_output(candidate.effect)
         if effect is None:
@@ -442,11 +451,12 @@ def measured_noise(
 ) -> MeasuredNoise:
     """Measures the noise that remains after the fit of an effect.
 
-    `log_bayes`: array of shape (G,), log Bayes factor of the effect at each setting of the noise. `walking`: True if a random walk
-    of the gyros acts in addition; the random walk belongs to the gap, not to the noise. `explained`: True if the effect leaves only
-    noise. If False, the residuals contain a part of the gap, so the measured noise is limited to the noise of the model. A level at
-    this limit shows only that the noise is not larger than the limit. The means also contain the random walk, so that their level
-    is then only a limit. The changes within the segments contain a small part of the random walk; its expected energy is subtracted.
+    `log_bayes`: array of shape (G,), log Bayes factor of the effect at each setting of the noise, that is, for each combination of
+    levels of flicker and random walk. `walking`: True if a random walk of the gyros acts in addition; the random walk belongs to
+    the gap, not to the noise. `explained`: True if the effect leaves only noise. If False, the residuals contain a part of the gap,
+    so the measured noise is limited to the noise of the model. A level at this limit shows only that the noise is not larger than
+    the limit. If a random walk acts, the segment means contain it too, so their level is only an upper limit. The changes within
+    the segments contain a small part of the random walk; the expected energy of this part is subtracted.
     """
     gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
@@ -578,8 +588,9 @@ def _with_measured_flicker(
 @dataclass(frozen=True)
 class _Fit:
     """Contains a choice that was fitted to all segments. gram (p, p) and score (p,) are sums over all channels. Rows and columns
-    have one whitened entry for each channel. `amplitudes`: the amplitudes of the choice. If the choice has an operating point,
-    `amplitudes` also contains the differences between the nominal parameters and their values at this point."""
+    have one whitened entry for each channel. `amplitudes`: the amplitudes of the choice. If the choice has an operating point
+    (`FoldChoice.point`), `amplitudes` also contains the differences between the nominal parameters and their values at this
+    point."""
 
     gram: Array
     score: Array
@@ -724,7 +735,7 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold]) -> float:
-    """Returns the fraction of the effect's energy in the held-out segments that the other segments determine. The amplitudes are
+    """Returns which fraction of an effect's energy in the held-out segments is determined by the other segments. The amplitudes are
     assumed to have the estimated size. The fraction is 0 if only one segment shows the effect."""
     size = best_scales(fit.gram, fit.score, widths)
     shown = left = 0.0
@@ -777,9 +788,9 @@ def measured(
 def _unknown(
     residual: Array, difference: Array, level: Array, count: int, draw: np.random.Generator, fitted: int = 0
 ) -> Array:
-    """Draws random values (count, 2) of the squared size of the gap before and after, if the composition of the gap is unknown.
-    `level`: array of shape (m,), variance of the noise of each residual; for the part of the gap orthogonal to `difference`, the
-    mean of `level` is used."""
+    """Draws random values (count, 2) of the squared size of a gap of unknown composition: first without, then with the chosen
+    effect. `level`: array of shape (m,), variance of the noise of each residual; for the part of the gap orthogonal to
+    `difference`, the mean of `level` is used."""
     from scipy.special import chndtr
 
     m, size = max(len(residual) - fitted, 2), float(np.linalg.norm(difference))
@@ -795,8 +806,8 @@ def _unknown(
 
 
 def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
-    """Draws random values (count, 2) of the squared size of the gap before and after, if a known cause is the whole gap. `squared`:
-    |d|², squared size of the difference between the predictions with and without the chosen effect."""
+    """Draws random values (count, 2) of the squared size of a gap whose whole cause is known: first without, then with the chosen
+    effect. `squared`: |d|², squared size of the difference between the predictions with and without the chosen effect."""
     amplitudes = cause.amplitudes.drawn(count, draw)
     before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
     return np.column_stack([before, before - 2 * amplitudes @ cause.along + squared])
@@ -841,8 +852,8 @@ def _fold(
 
 
 def _moving(used: Sequence[_Rows], point: OperatingPoint, held: NDArray[np.bool_]) -> Array:
-    """Returns the held-out change of the prediction by an effect on the output, per change of each nominal parameter, shape (m, q).
-    q counts the parameters of all channels on which the effect acts."""
+    """Returns how the part of the prediction that an effect on the output causes changes in the held-out segments, per change of
+    each nominal parameter, shape (m, q). q counts the parameters of all channels on which the effect acts."""
     from scipy.linalg import block_diag
 
     blocks = [

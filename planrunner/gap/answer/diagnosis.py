@@ -1,11 +1,11 @@
 """Diagnoses a recording. A diagnosis determines where the recording differs from its simulation, which effect explains this
 difference (the gap), and how much this effect reduces the gap.
 
-The diagnosis has five steps. First, spectra and noise are computed, and the nominal parameters are projected out (`weighing`).
-Second, the evidence is evaluated for every installed effect (`candidates`), for pairs of effects, and for patterns outside the
-catalogue (`posterior`, `open_set`). Third, a verdict is derived; if the plan cannot separate several effects, the verdict names all
-of them as a class (`verdict`). Fourth, the gap is located (`where`). Finally, the closure of the gap is computed on held-out
-segments (`closure`).
+The diagnosis has five steps. First, spectra and noise are computed, and the part of the data that the nominal parameters absorb is
+projected out (`weighing`). Second, the evidence is evaluated for every installed effect (`candidates`), for pairs of effects, and
+for patterns outside the catalogue (`posterior`, `open_set`). Third, a verdict is derived; if the plan cannot separate several
+effects, the verdict names all of them as a class (`verdict`). Fourth, the gap is located (`where`). Finally, the closure of the gap
+is computed on held-out segments (`closure`).
 """
 
 from __future__ import annotations
@@ -322,8 +322,8 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """Maps the name of an effect that its shape determines completely to the forms of the effect. The result is empty for any other
-    effect, and if no form explains the data better than no effect."""
+    """Maps the name of an effect to its forms if the shape alone determines the effect; a form is the effect at one value of its
+    shape. The result is empty for any other effect, and if no form explains the data better than no effect."""
     effect = shape_alone(candidate)
     found = candidate.whole or (whole_forms(weighing, effect) if effect is not None else ())
     return {candidate.id: found} if found else {}

@@ -72,7 +72,8 @@ class Foreseen:
         return self.information(self.segment.dwell or 0.0)
 
     def information(self, seconds: float) -> Array:
-        """Returns the information for a dwell of the given length [s], shape (P, P). Slow noise limits the information of the mean."""
+        """Returns the information for a dwell of the given length [s], shape (P, P). Slow noise limits the information that the
+        mean of the segment gives."""
         slow = slow_noise.flicker(np.zeros(1), np.full(1, seconds))[0, 0]
         variance = self.noise**2 / seconds + self.flicker**2 * slow
         products: Array = seconds * self.within + (self.means / variance[:, None]).T @ self.means
@@ -113,7 +114,7 @@ def foresee(
 
 
 def _hidden(planned: Observed, number: int, rows: Sequence[Array], noise: Array, seconds: float) -> Array:
-    """Returns the information per second, shape (P, P), that a segment loses because the angle of the turning table is unknown.
+    """Returns the information that a segment loses per second because the angle of the turning table is unknown, shape (P, P).
 
     `rows`: for each channel, the columns (n, P) at the samples. `noise`: array of shape (K,), white noise density. `seconds`:
     length of the dwell, s.
@@ -403,9 +404,9 @@ def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
 
 
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
-    """Returns the test time [s] of the necessary repetitions of the recorded segments, and the expected probability of the true
-    explanation after them. The repetitions end when this probability is at least `aim`. If no number of repetitions is enough,
-    returns both values for the largest number considered."""
+    """Returns the test time [s] of repetitions of the recorded segments, and the expected probability of the true explanation after
+    them. The number of repetitions is the smallest considered number for which this probability is at least `aim`. If no number of
+    repetitions is enough, returns both values for the largest number considered."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:
@@ -489,8 +490,8 @@ def _columns(layout: Layout, channels: tuple[Channel, ...]) -> Callable[[Observe
 
 
 def _seen(layout: Layout) -> Array:
-    """Returns the information from a direct measurement of the table's pointing, shape (P,). Such a measurement gives information
-    about the amplitudes of table effects that are angles."""
+    """Returns the information from a direct measurement of the angles of the table, for example with an autocollimator, shape (P,).
+    Such a measurement gives information about the amplitudes of table effects that are angles."""
     found = [np.zeros(layout.widths[0])]
     for part, width in zip(layout.parts, layout.widths[1:], strict=True):
         columns = part.weighed.variant.columns

@@ -41,8 +41,8 @@ def amplitudes(
 
     `columns`: the columns that belong to this effect, if it is one of a set of effects. `walking`: True if a random walk of the
     gyros acts in addition. `ratios`: array of shape (K,), variance of the residuals of each channel, divided by the variance of the
-    noise at the most probable setting; None if the residuals are only noise. Amplitudes that are fixed at 1 are omitted, because
-    they are not parameters.
+    noise at its most probable setting (levels of flicker and random walk); None if the residuals are only noise. Amplitudes that
+    are fixed at 1 are omitted, because they are not parameters.
     """
     if weighed.held:
         return []
@@ -116,7 +116,7 @@ def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[
 
 
 def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
-    """Returns a negative shape for an effect without amplitude, if the data require the effect with the opposite sign. The
+    """For an effect without amplitude: if the data require the effect with the opposite sign, returns a negative shape. The
     magnitude of the shape is the fitted amplitude times the shape of the best form. A negative delay means that the table's angle
     is delayed instead of the outputs."""
     (share,), ((variance,),) = best.amplitudes
@@ -164,7 +164,8 @@ def of_noise(weighing: Weighing, effect: OutsideCoefficients) -> list[ParameterE
 
 
 _UNDETERMINED = 1e-6
-"""A parameter counts as determined if at most this fraction of it lies in directions that the plan does not determine."""
+"""The plan does not determine some combinations (directions) of the parameters. If at most this fraction of a parameter lies in
+such directions, the parameter counts as determined."""
 
 
 def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[ParameterEstimate]:

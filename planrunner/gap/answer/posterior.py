@@ -3,9 +3,9 @@ priors.
 
 The evidence directly determines the probabilities of three cases: effects of the catalogue are the whole cause, effects of the
 catalogue act together with something else, or no effect of the catalogue acts. The probability of effects is then divided among the
-sets of effects. For this division, the noise variance is multiplied by the dispersion of the residuals (`gap.answer.remainder`)
-before the evidence is computed. Thus, if even the best set does not explain the residuals, the evidence distinguishes the sets less
-sharply.
+sets of effects. For this division, the noise variance is multiplied by the dispersion of the residuals before the evidence is
+computed. The dispersion is χ² divided by the degrees of freedom, or 1 if chance explains the residuals (`gap.answer.remainder`).
+Thus, if even the best set does not explain the residuals, the evidence distinguishes the sets less sharply.
 
 A hypothesis about the level of the noise does not compete with a cause. Hypotheses that differ only in an effect on the level of
 the noise count as the same cause, and their probabilities are added. The probability of each effect on the noise level is stated
@@ -39,9 +39,9 @@ together with something else. Every further effect halves the probability."""
 NAMEABLE = 0.05  # the probability of none above which no effect is named
 LIKELY = 1e-3  # smallest probability of a set beside which something else may act
 IMPERFECT = 0.05
-"""An effect can act in addition to something else only if its log evidence is at least this fraction of the log evidence of
-something else. The reason is that no pattern describes an unknown cause exactly. Effects of the catalogue can imitate the part that
-the pattern does not describe."""
+"""If the log evidence of an effect is less than this fraction of the log evidence of something else, the effect is not considered
+in addition to something else. The reason is that no pattern describes an unknown cause exactly. Effects of the catalogue can
+imitate the part that the pattern does not describe."""
 WORTH = 3.0  # log BF of something else from which it may be the cause of what some of the effects follow
 UNKNOWN = "unknown"
 _Key = TypeVar("_Key", str, tuple[str, ...])
@@ -82,16 +82,17 @@ class Posterior:
 
 
 def without_unknown(name: str) -> str:
-    """Returns the name of a hypothesis without the part "something else" that acts in addition to the effects."""
+    """Removes the part that stands for something else from the name of a hypothesis, so that only the effects remain."""
     return "+".join(part for part in name.split("+") if part != UNKNOWN) or UNKNOWN
 
 
 @dataclass(frozen=True)
 class _NoiseOnly:
     """Contains the evidence for the effects that act only on the noise. `walk`: name of the random walk of the gyros, or ''.
-    `others`: maps each state of the noise of a triad (gyro or accel) to the effect that causes it. `levels`: log density of the
-    measured white noise for each combination of states. `apart`: log Bayes factors of the effects that the recording shows outside
-    the coefficients, such as a line. Each of these effects is present or absent independently of the others.
+    `others`: maps each triad (gyro or accel) and each state of its white noise that differs from the declared noise to the effect
+    that causes this state. `levels`: log density of the measured white noise for each combination of a state of the gyros with a
+    state of the accelerometers. `apart`: log Bayes factors of the effects that the recording shows outside the coefficients, such
+    as a line. Each of these effects is present or absent independently of the others.
     """
 
     walk: str
@@ -204,7 +205,8 @@ def _of_noise(
 ) -> dict[str, float]:
     """Returns the probability of each effect on the level of the noise. The probability of a hypothesis with something else covers
     all states of the noise, so it is divided among these states. `levels`: names of the effects on the level of the noise. `found`:
-    the hypotheses that `posterior` evaluated directly; for the size of these hypotheses, "unknown" counts as an effect."""
+    the hypotheses that `posterior` evaluated directly. When the effects of these hypotheses are counted, "unknown" counts as an
+    effect."""
     total = dict.fromkeys(sorted(levels), 0.0)
     for name, share in shares.items():
         parts = name.split("+")
@@ -353,8 +355,8 @@ def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
 
 
 def _beside(kinds: Kinds) -> float:
-    """Returns the log Bayes factor that is added to every hypothesis with an effect. The reason for this addition is that a tone or
-    bursts with an independent cause may also be present."""
+    """Returns the log Bayes factor for the possibility that a tone or bursts, with an independent cause, are present in addition to
+    an effect. This factor is added to every hypothesis with an effect."""
     return float(np.logaddexp(np.log1p(-BESIDE), np.log(BESIDE) + kinds.outside))
 
 

@@ -5,9 +5,9 @@ The test determines whether noise alone explains the whitened residuals of a cha
 residuals with the χ² distribution, with Bonferroni's correction for the number of tests. The unexplained part is called the
 remainder. It is computed after the named effects have been fitted to all segments.
 
-If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. Sometimes no explanation
-leaves only noise. The differences between log evidences are then too large by this ratio. The reason is that the evidence treats
-the samples as independent, but the errors of an explanation are the same in all samples. In this case, the noise variance is
+If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. Sometimes every explanation
+leaves more than noise. The differences between log evidences are then too large by this ratio. The reason is that the evidence
+treats the samples as independent, but the errors of an explanation are the same in all samples. In this case, the noise variance is
 multiplied by the dispersion before the evidence is computed. This factor is the dispersion of quasi-likelihood (McCullagh and
 Nelder, Generalized Linear Models, 1989, section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932).
 This correction corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical
@@ -35,8 +35,9 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
     over the means. The result is the largest ratio χ²/ν among the sums that fail the test, or 1 if both pass.
 
     `rest`: array of shape (M,), the whitened residuals. `degrees`: degrees of freedom of `rest`. `means`: array of shape (S,),
-    indices of the coefficients of order 0. The means are also tested alone: if the assumed form of an effect is slightly wrong, the
-    errors accumulate in the means. `tests`: number of tests in all channels, for Bonferroni's correction.
+    indices of the coefficients of order 0, which are the segment means. The means are also tested alone: if the assumed form of an
+    effect is slightly wrong, the errors accumulate in the means. `tests`: number of tests in all channels, for Bonferroni's
+    correction.
     """
     from scipy.special import chdtrc
 
@@ -53,8 +54,8 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
 
 
 def dispersions(weighing: Weighing, known: Weighed, setting: int = 0) -> Array:
-    """Returns the dispersion of each channel's residuals, shape (K,), after known effects have been fitted at one setting of the
-    noise."""
+    """Returns the dispersion of each channel's residuals, shape (K,), after known effects have been fitted. `setting`: index of the
+    setting of the noise (levels of flicker and random walk) at which they are fitted."""
     amplitudes = known.amplitudes_at(setting)[0]
     found, count = [], len(weighing.weights)
     for weight, columns in weighing.whitened_at(known, setting):

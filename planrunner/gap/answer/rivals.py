@@ -42,9 +42,10 @@ class Rival:
     def learnt(
         cls, name: str, probability: float, columns: NDArray[np.int64], prior: Array, information: Array, score: Array
     ) -> Rival:
-        """Returns the rival with the posterior of its amplitudes after a recording. `prior`: array of shape (p,), precision of the
-        amplitudes about zero before the recording, which is 0 for a nominal parameter. `information` (P, P) and `score` (P,):
-        information matrix and score vector of the recording for all columns of all rivals, in units of the noise."""
+        """Returns the rival with the posterior of its amplitudes after a recording. `prior`: array of shape (p,), precision
+        (inverse variance) of the amplitudes about zero before the recording. The precision is 0 for a nominal parameter.
+        `information` (P, P) and `score` (P,): information matrix and score vector of the recording for all columns of all rivals,
+        in units of the noise."""
         own = information[np.ix_(columns, columns)]
         precision = own + np.diag(prior + _FLAT * np.maximum(np.diag(own), 1.0))
         mean = np.asarray(np.linalg.solve(precision, score[columns]))
@@ -169,8 +170,8 @@ def explanations(found: Posterior, candidates: Sequence[Candidate]) -> list[Expl
 
 
 def _simplest(total: Mapping[str, float]) -> dict[str, float]:
-    """Adds the probability of a set of effects to the probability of one of its subsets, if the subset is more probable. In this
-    case, the other effects of the set may be absent."""
+    """Adds the probability of a set of effects to the probability of one of its subsets, if the subset is more probable. The reason
+    is that the other effects of the set may be absent."""
     found: dict[str, float] = {}
     for name, value in sorted(total.items(), key=lambda item: item[0].count("+")):
         parts = set(name.split("+"))

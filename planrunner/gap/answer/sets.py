@@ -1,10 +1,11 @@
 """Searches for sets of two or more effects that explain a recording together. The search adds one effect at a time to the most
-probable smaller sets, and fits all amplitudes again (forward selection with a beam). In the most probable set, it also fits the
-shapes again.
+probable smaller sets, and fits all amplitudes again (forward selection; several of the best sets are extended, which is called a
+beam search). In the most probable set, it also fits the shapes again.
 
 In a quick evaluation, the amplitudes of a set are fixed at their most probable values, and every form of every other effect is
 evaluated on the residuals. The best sets are then evaluated in full: with a separate strength for every effect, and at every
-setting of the noise that has a noticeable weight. The best sets are also evaluated together with a random walk of the gyros.
+setting of the noise that has a noticeable weight. A setting of the noise is a combination of levels of flicker and random walk. The
+best sets are also evaluated together with a random walk of the gyros.
 """
 
 from __future__ import annotations
@@ -68,9 +69,10 @@ class EffectSet:
     """Describes a set of effects that act together.
 
     `members`: the effects, in the order of their columns. `weighed`: the evaluation of all columns together. `log_bayes`: array of
-    shape (G,), log Bayes factor at each setting of the noise. `evidence`: log evidence without a random walk of the gyros.
-    `walking`: log evidence with a random walk, −∞ if it was not evaluated. `on_others`: an effect on the output which acts on the
-    other effects too, and its place among the members; None if there is no such effect.
+    shape (G,), log Bayes factor at each setting of the noise (levels of flicker and random walk). `evidence`: log evidence without
+    a random walk of the gyros. `walking`: log evidence with a random walk, −∞ if it was not evaluated. `on_others`: an effect on
+    the output that also changes the other effects (for example a limit of the output), and its index among the members; None if
+    there is no such effect.
     """
 
     members: tuple[Member, ...]
@@ -93,8 +95,9 @@ class EffectSet:
 
 @dataclass(frozen=True)
 class Sets:
-    """Contains the evaluated sets of effects. `quick`: log evidence of each pair at the declared noise, from the quick evaluation.
-    `full`: the sets evaluated in full, by key."""
+    """Contains the evaluated sets of effects. `quick`: log evidence of each pair at the declared noise, from the quick evaluation,
+    which fixes the amplitudes of the first of the two effects at their most probable values. `full`: the sets evaluated in full, by
+    key."""
 
     quick: dict[str, float]
     full: dict[str, EffectSet] = field(repr=False)
@@ -176,9 +179,10 @@ def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, f
 
 
 def _with_output(weighing: Weighing, usable: Sequence[Candidate], least: float) -> list[EffectSet]:
-    """Evaluates pairs of the most probable effect and an effect on the output. The effects on the output are evaluated at an output
-    that contains the most probable effect: an output that is close to zero without it, for example, may be outside of a dead zone with
-    it. Returns the pairs with an evidence of more than `least`."""
+    """Evaluates pairs of the most probable effect and an effect on the output. An effect on the output, such as a dead zone,
+    depends on the output itself. It is therefore evaluated at an output that contains the most probable effect. For example, an
+    output may be inside the dead zone without this effect, and outside with it. Returns the pairs with an evidence of more than
+    `least`."""
     first = max(usable, key=lambda c: weighing.evidence(c.log_bayes))
     acting = [c for c in usable if is_whole(c.best.variant.columns) and on_output(c.effect) is not None]
     amplitudes, _ = weighing.amplitudes(first.best, walking=False)
@@ -227,7 +231,7 @@ def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
 
 
 def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """Returns the same set. Its evidence is also computed for the case that a random walk acts in addition."""
+    """Returns the set with one addition: its evidence for the case that a random walk acts in addition."""
     if np.isfinite(one.walking) or not np.isfinite(weighing.log_prior[1]).any():
         return one
     log_bayes = _log_bayes(weighing, one.weighed, one.members, weighing.log_prior[1])
@@ -256,8 +260,9 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
 
 def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
     """Fits the shape of each effect again, together with the other effects of the set, and computes the secants of strong nonlinear
-    effects at the amplitudes of the set. A new shape is kept only if the evidence of the set increases. A secant at the amplitude of
-    the set is more exact, so it is rejected only if it is clearly less likely."""
+    effects at the amplitudes of the set. Secants are columns that reproduce a nonlinear effect exactly at given amplitudes. A new
+    shape is kept only if the evidence of the set increases. New secants are more exact than the old columns, so they are rejected
+    only if they are clearly less likely."""
     for number, member in enumerate(one.members):
         effect = member.candidate.effect
         if isinstance(effect, Shaped):
@@ -281,7 +286,7 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _around(weighing: Weighing, one: EffectSet, member: Member, effect: Curved) -> list[Variant]:
-    """Returns the secants of a nonlinear effect at the amplitudes that it has in a set."""
+    """Returns the secants of a nonlinear effect: columns that reproduce it exactly at the amplitudes that it has in a set."""
     amplitudes, _ = weighing.amplitudes(one.weighed, walking=False)
     own = one.columns(member.id)
     size = np.array([column.magnitude for column in one.weighed.variant.columns[own]])
@@ -290,8 +295,9 @@ def _around(weighing: Weighing, one: EffectSet, member: Member, effect: Curved) 
 
 def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
     """Evaluates a strong effect on the output again, at an output that contains the other effects of the set. The other effects are
-    evaluated as this output shows them. This is more exact than the sum of the effects. The result is therefore rejected only if it
-    is clearly less likely than this sum. A set with two such effects is returned unchanged."""
+    evaluated as they appear in the output after this effect; a limit, for example, may hide them. This is more exact than the sum
+    of the effects. The result is therefore rejected only if it is clearly less likely than this sum. A set with two such effects is
+    returned unchanged."""
     acting = [(k, on_output(m.candidate.effect)) for k, m in enumerate(one.members) if m.form.held]
     number, effect = next(((k, effect) for k, effect in acting if effect is not None), (0, None))
     others = [member for k, member in enumerate(one.members) if k != number]

@@ -7,10 +7,10 @@ even if there is a small further deviation that no hypothesis explains. Second, 
 its idealised form becomes visible. The flexible patterns outside the catalogue then seem to explain this deviation. The energy of
 the deviation is called form residue.
 
-The confusability states which effects a plan can distinguish. It can be computed before and after the recording. The confusability
-ρ(A|B) refers to the whitened signature of effect A after projection: it is the fraction of the energy of this signature that effect
-B reproduces with suitable amplitudes. If λ is the energy of the fitted effect A, the test between A and B has the non-centrality
-λ(1 − ρ).
+The confusability states which effects a plan can distinguish. It can be computed before and after the recording. For the
+confusability ρ(A|B), the signature of effect A is whitened, and the part that the nominal parameters absorb is projected out. Then
+ρ(A|B) is the fraction of the energy of this signature that effect B reproduces with suitable amplitudes. If λ is the energy of the
+fitted effect A, the test between A and B has the non-centrality λ(1 − ρ).
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ _RIDGE = 1e-9
 
 
 def fitted(weighed: Weighed) -> list[Array]:
-    """Returns the whitened, projected signature of an effect at its fitted amplitudes, an array of shape (M,) for each channel."""
+    """Returns the signature of an effect at its fitted amplitudes, an array of shape (M,) for each channel. The signature is
+    whitened, and the part that the nominal parameters absorb is projected out."""
     return [block @ weighed.amplitudes[0] for block in weighed.by_channel]
 
 
@@ -97,12 +98,12 @@ TWO_NAMES = 4.0  # nats of evidence between hypotheses that may have the same ca
 
 def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
     """Finds an effect or a pair of effects that explains nearly as much of the gap as the most probable hypothesis `top`, and more
-    than 50 σ. Returns the name of this effect or pair, and the names of the other effects of `top`. What these other effects
-    explain counts as the remainder. Returns None if there is no such effect, or if `top` consists only of terms of the nominal
-    model.
+    than 50 standard deviations of the noise. Returns the name of this effect or pair, and the names of the other effects of `top`.
+    What these other effects explain counts as the remainder. Returns None if there is no such effect, or if `top` consists only of
+    terms of the nominal model.
 
     `log_evidence`: log evidence of every hypothesis relative to "none". For a strong effect, it is about half of the explained
-    energy. `signatures`: effects that change more than the noise.
+    energy. `signatures`: names of the effects that change the outputs, not only the noise.
     """
     parts = set(top.split("+"))
     if parts <= set(NOMINAL_TERMS):
@@ -201,7 +202,8 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
 
 
 def _without(name: str, effect: str) -> str:
-    """Returns the key of the effects that remain if `effect` is removed from a set; empty if the set does not contain `effect`."""
+    """Returns the name of the set that remains after `effect` has been removed from the set `name`; empty if the set does not
+    contain `effect`."""
     parts = name.split("+")
     return key_of(part for part in parts if part != effect) if effect in parts else ""
 
@@ -277,10 +279,10 @@ def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tu
     """Examines whether the weakest effect of the set `named` may be form residue. Form residue is energy that remains because the
     strongest effect deviates from its idealised form. Returns two values: the effects that the verdict names, and the weakest
     effect if it may be form residue, otherwise None. Two conditions must be true for form residue: the other effects explain more
-    than 50 σ, and the weakest effect adds less than the fraction `RESIDUE` of what all effects explain together. If the weakest
-    effect adds less than the fraction `FORM`, it is not named. An effect is not form residue if most of its energy is in channels
-    on which the other effects do not act, or if it raises the noise level. Terms of a nominal model are exact and have no form
-    residue."""
+    than 50 standard deviations of the noise, and the weakest effect adds less than the fraction `RESIDUE` of what all effects
+    explain together. If the weakest effect adds less than the fraction `FORM`, it is not named. If most of an effect's energy is in
+    channels on which the other effects do not act, or if the effect raises the noise level, it is not form residue. Terms of a
+    nominal model are exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

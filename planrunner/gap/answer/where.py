@@ -1,13 +1,14 @@
 """Locates the gap: determines the channel, the factor that the gap follows, and the most conspicuous level of this factor. If the
 catalogue does not contain the cause, also determines the form of the gap along this factor.
 
-The factors are orientation, rate, temperature, time, angle of the table, and frequency band. The open set (`hypotheses.open_set`)
-contains patterns of the whitened residual that effects of the catalogue do not cause. Each pattern implies the factor that the gap
-follows. The evidence for these patterns determines which factor the whitened residual of a channel follows. The levels of a factor
-are compared by a score. The score of a level states by how many standard deviations its energy exceeds the energy that pure noise
-would have. Many levels are examined, so a single high score may be chance. Therefore, pure noise is simulated and projected like
-the data. The p-value of a level is the probability that, in pure noise, the highest score of all levels reaches the score of this
-level (max-statistic parametric bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
+The factors are orientation, rate, temperature, time, angle of the table, and frequency band. A level of a factor is one value or
+range of it, such as one orientation. The open set (`hypotheses.open_set`) contains patterns of the whitened residual that effects
+of the catalogue do not cause. Each pattern implies the factor that the gap follows. The evidence for these patterns determines
+which factor the whitened residual of a channel follows. The levels of a factor are compared by a score. The score of a level states
+by how many standard deviations its energy exceeds the energy that pure noise would have. Many levels are examined, so a single high
+score may be chance. Therefore, pure noise is simulated, and the part that the nominal parameters absorb is projected out, as in the
+data. The p-value of a level is the probability that, in pure noise, the highest score of all levels reaches the score of this level
+(max-statistic parametric bootstrap; Westfall and Young, Resampling-Based Multiple Testing, 1993).
 
 The patterns of the open set compete with the effects of the catalogue. The most probable pattern determines the factor that an
 unknown gap follows. The residuals of the simulation give the form of this gap.
@@ -49,8 +50,9 @@ class MisfitPlace:
 
     `share`: fraction of the energy that exceeds the noise. Every factor divides the same energy into levels. The shares of all
     levels of one factor, over all channels, add up to at most 1; the shares of different factors overlap. `of`: the quantity of
-    which `share` is a fraction. It is `gap`, or `noise` for energy outside the basis, which is compared with the noise of the
-    channel. `p`: p-value, adjusted for the number of parts of the recording that are examined.
+    which `share` is a fraction. It is `gap` for energy in the coefficients of the segments. It is `noise` for energy outside the
+    basis of these coefficients, which is compared with the noise of the channel. `p`: p-value, adjusted for the number of parts of
+    the recording that are examined.
     """
 
     channel: str
@@ -96,15 +98,15 @@ def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, A
 
 def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
     """Returns the log Bayes factors, shape (3, K), of three hypotheses: slow changes within segments, more white noise than
-    declared, and a tone outside the basis."""
+    declared, and a tone outside the basis of the coefficients."""
     none = np.full(len(weighing.observed.channels), -np.inf)
     more = excess_by_channel(weighing.declared, weighing.white, weighing.white_degrees)
     return np.array([kinds.get(WHOLE[Sort.TRANSIENT], none), more, kinds.get(TONE, none)])
 
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
-    """Returns the entry for noise or a tone outside the basis. The p-value of this entry follows from Markov's inequality: if there
-    is only noise, the probability of a Bayes factor of B or more is at most 1/B."""
+    """Returns the entry for noise or a tone outside the basis of the coefficients. The p-value of this entry follows from Markov's
+    inequality: if there is only noise, the probability of a Bayes factor of B or more is at most 1/B."""
     declared = weighing.declared.channels[channel]
     level = declared.sample_variance(weighing.observed.sample_rate) / weighing.white[channel] ** 2
     p = min(1.0, places_ * float(np.exp(-evidence)))
@@ -134,7 +136,8 @@ def levels(weighing: Weighing) -> Iterator[tuple[MisfitPlace, float]]:
 
 
 def _replicates(weighing: Weighing) -> Iterator[Array]:
-    """Simulates pure noise and projects it like the data. Yields the squared residuals of each channel, shape (M, replicates)."""
+    """Simulates pure noise, and projects out the part that the nominal parameters absorb, as in the data. Yields the squared
+    residuals of each channel, shape (M, replicates)."""
     draw = np.random.default_rng(SEED)
     rows = len(weighing.spectrum.segment)
     for weights in weighing.weights:
