@@ -1,5 +1,5 @@
-"""Evaluates the candidates. For each form of every effect, it computes the evidence, and the fraction of the effect's energy that
-the nominal parameters do not absorb."""
+"""Evaluates the candidates, that is, the effects that may explain a gap. For each form of every effect (the effect at one value of
+its shape), computes the evidence, and the fraction of the effect's energy that the nominal parameters do not absorb."""
 
 from __future__ import annotations
 
@@ -50,12 +50,16 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 
 @dataclass(frozen=True)
 class Weighed:
-    """Contains a variant of an effect after whitening and evaluation. Its columns no longer contain samples. `gram` (G, p, p) and
-    `score` (G, p) are computed at each of the G settings of the noise.
+    """Contains a variant of an effect (the effect at one value of its shape) after whitening and evaluation. Its columns no longer
+    contain samples. `gram` (G, p, p), the inner products of the whitened columns with each other, and `score` (G, p), their inner
+    products with the whitened data, are computed at each of the G settings of the noise. A setting of the noise is a combination of
+    levels of flicker and random walk. Projection removes the part of a column that the nominal parameters absorb. Amplitudes are in
+    magnitudes: the amplitude of each column is divided by its prior scale `Column.magnitude`.
 
-    `trace`: energy of the columns after projection, at the first setting. `kept`: ratio of this energy to the energy before
-    projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before whitening and
-    projection, in magnitudes. `held`: True if physics fixes the single amplitude to 1, so that only the shape is free.
+    `trace`: energy of the columns after projection, at the first setting of the noise. `kept`: ratio of this energy to the energy
+    before projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before
+    whitening and projection, in magnitudes. `held`: True if the variant has a single amplitude that physics fixes at 1, so that
+    only the shape is free.
     """
 
     variant: Variant
@@ -69,8 +73,9 @@ class Weighed:
 
     @cached_property
     def log_bayes(self) -> Array:
-        """Returns the log Bayes factor at each setting of the noise, shape (G,). A free amplitude is averaged over the energy λ of
-        the effect. An amplitude that physics fixes is kept near 1."""
+        """Returns the log Bayes factor at each setting of the noise, shape (G,). If the amplitudes are free, the factor is an
+        average over the strength of the effect, its energy λ in units of the noise. An amplitude that physics fixes is kept near
+        1."""
         if self.held:
             return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
         return self.if_possible(log_bayes_factors(self.gram, self.score, self.trace))
@@ -105,8 +110,8 @@ class Weighed:
 
     @property
     def can_be_seen(self) -> bool:
-        """Returns False if the projected columns are zero, except for rounding, or if the energy λ stays below `WEAKEST` for all
-        physically possible amplitudes."""
+        """Returns False if the projected columns are zero, except for rounding, or if the energy λ of the effect, in units of the
+        noise, stays below `WEAKEST` for all physically possible amplitudes."""
         if self.kept <= ABSORBED or self.trace <= 0:
             return False
         columns, gram = self.variant.columns, self.gram[0]
@@ -118,7 +123,7 @@ class Weighed:
 
     @cached_property
     def amplitudes(self) -> tuple[Array, Array]:
-        """Returns mean (p,) and covariance (p, p) of the amplitudes in magnitudes, at the first setting."""
+        """Returns mean (p,) and covariance (p, p) of the amplitudes in magnitudes, at the first setting of the noise."""
         return self.amplitudes_at(0)
 
     def amplitudes_at(self, setting: int) -> tuple[Array, Array]:
@@ -130,7 +135,7 @@ class Weighed:
 
 
 Forms = Sequence[tuple[Weighed, float]]
-"""Forms of an effect that is completely determined by its shape, and their probabilities."""
+"""Forms of an effect that is completely determined by its shape, each with its probability."""
 
 
 @dataclass(frozen=True)
@@ -162,8 +167,8 @@ class Candidate:
         return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
 
     def across(self, other: Weighed) -> Array:
-        """Returns the inner products of two sets of columns at the first setting of the noise, shape (V, q, p): the q columns of
-        another variant, and the p columns of each of the V variants."""
+        """Returns the inner products of the q columns of another variant with the p columns of each of the V variants, at the first
+        setting of the noise, shape (V, q, p)."""
         products = np.sum([x.T @ y for x, y in zip(other.by_channel, self.stacked, strict=True)], axis=0)
         return np.asarray(np.swapaxes(products.reshape(len(products), len(self.variants), -1), 0, 1))
 
@@ -179,9 +184,9 @@ class Candidate:
 
 
 class Weighing:
-    """Contains a recording with its noise and its nominal model, prepared for the evaluation of effects. A setting of the noise
-    combines a setting of the gyros with a setting of the accelerometers. The index of a setting is (gyro setting) × (number of
-    accelerometer settings) + (accelerometer setting).
+    """Contains a recording with its noise and its nominal model, prepared for the evaluation of effects. The setting of a triad is
+    a level of flicker and a level of random walk. A setting of the noise combines a setting of the gyros with a setting of the
+    accelerometers. The index of a setting is (gyro setting) × (number of accelerometer settings) + (accelerometer setting).
 
     `removed`: array of shape (N, K) in SI units, a signal (for example a line) that is subtracted from the samples before the
     evaluation. `held`: array of shape (N, K), True for samples that are replaced by the fit, such as samples that repeat an earlier
@@ -278,8 +283,8 @@ class Weighing:
         return np.column_stack(each)
 
     def _scatter(self) -> Array:
-        """Returns quantiles (K, Q) of the noise of a sample at rest, SI. Samples that were replaced are left out. The noise is
-        assumed to be normal if the recording contains means over bins, or if few samples are left."""
+        """Returns quantiles (K, Q) of the noise of a sample at rest, SI. Samples that were replaced are left out. If the recording
+        contains means over bins, or if few samples are left, the noise is assumed to be normal."""
         from scipy.special import ndtri
 
         observed, share = self.observed, (np.arange(_QUANTILES) + 0.5) / _QUANTILES
@@ -364,7 +369,8 @@ class Weighing:
         return replace(observed, fitted=fitted, response=axes + more[:3].T)
 
     def beside(self, known: Weighed) -> Weighing:
-        """Returns a copy in which effects count as nominal parameters, so that their amplitudes are free in every channel."""
+        """Returns a copy in which the columns of effects (`known`) count as nominal parameters, so that their amplitudes are free
+        in every channel."""
         made = self._with(lambda weight, channel: weight.beside(known.raw[channel]))
         acting = [raw[:, raw.any(axis=0)] for raw in known.raw]
         made.nominal = [independent(np.hstack(parts)) for parts in zip(self.nominal, acting, strict=True)]
@@ -476,7 +482,8 @@ class Weighing:
 
     def projected(self, variants: Sequence[Variant]) -> tuple[list[Variant], list[Array]]:
         """Returns the variants without their samples and, for each channel, the coefficients (M, P) of all their columns. Samples
-        are not stored: for all forms of all effects together, they would need many times the memory of the recording."""
+        are not stored, because the samples of all forms of all effects together would need many times the memory of the
+        recording."""
         raw = coefficients_of(self.observed, self.spectrum, [c for variant in variants for c in variant.columns])
         return [_without_samples(variant) for variant in variants], raw
 
@@ -494,8 +501,8 @@ class Weighing:
         return mean, np.tensordot(share, covariances, 1) + (share[:, None] * away).T @ away
 
     def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
-        """Whitens variants and evaluates them at every setting of the noise. `raw`: coefficients that `projected` has already
-        computed, if any."""
+        """Whitens variants (effects, each at one value of its shape) and evaluates them at every setting of the noise. `raw`:
+        coefficients that `projected` has already computed, if any."""
         if raw is None:
             variants, raw = self.projected(variants)
         columns = [column for variant in variants for column in variant.columns]
@@ -548,8 +555,8 @@ class Weighing:
         first: Sequence[Array],
         raw: Sequence[Array],
     ) -> Weighed:
-        """Makes one evaluated variant from the columns in the range `part` of all columns. The settings of the gyros and of the
-        accelerometers are combined."""
+        """Makes one evaluated variant from the columns in the range `part` of all columns. Each setting of the gyros is combined
+        with each setting of the accelerometers."""
         p = len(variant.columns)
         gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)
         score = (scores["gyro"][:, None, part] + scores["accel"][None, :, part]).reshape(-1, p)

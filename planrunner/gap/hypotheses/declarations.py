@@ -24,16 +24,16 @@ from planrunner.plan.units import STANDARD_GRAVITY
 FITS = 0.1
 """The matrix M describes a channel if the residual of its fit, relative to the applied input, is at most this value."""
 NEAR = 0.2
-"""A row of M agrees with a row of a signed permutation, multiplied by a factor, if their distance is at most this fraction of the
-factor."""
+"""A row of M is compared with a row of a signed permutation multiplied by a factor. If their distance is at most this fraction of
+the factor, the two rows agree."""
 FACTOR = 0.03
 """Largest relative deviation from a known factor. This deviation is larger than usual scale-factor errors, and smaller than half
 the distance between two factors."""
 CLEARLY = 3.0
 """The data distinguish the two senses of rotation if their root mean square misfits differ at least by this ratio."""
 SEEN = 0.5
-"""The channel of an axis can be judged only if the unit vector of the axis, projected onto the directions that the plan varies, has
-at least this length."""
+"""The unit vector of an axis is projected onto the directions that the plan varies. If the projection is at least this long, the
+channel of the axis can be judged."""
 FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
     "gyro": (
         (180 / np.pi, "degrees", "radians"),
@@ -188,8 +188,8 @@ def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
 
 
 def _factor(gain: Array, direction: Array, kind: str) -> float | None:
-    """Returns the known factor between two units by which a gain exceeds a direction: 1 for an ordinary scale factor, None if no
-    known factor agrees."""
+    """Returns the known factor between two units that agrees with the ratio of a gain to a direction: 1 for an ordinary scale
+    factor, None if no known factor agrees."""
     size = float(gain @ direction) / float(direction @ direction)
     if size <= 0:
         return None

@@ -1,12 +1,13 @@
-"""Evaluates effects in different forms, one for each value of the shape on the effect's grid. The grid is refined if the evidence
-has a sharp peak. Strong effects are evaluated in a nonlinear form.
+"""Evaluates effects in different forms. The shape of an effect is a parameter that the outputs do not depend on linearly, such as a
+time constant; a form is the effect at one value of its shape. Every effect has a grid of shapes. If the evidence has a sharp peak,
+the grid is refined. Strong effects are evaluated in a nonlinear form.
 
 Some effects (a lag, a delay, a dead zone, a limit) have no amplitude: the shape alone determines the effect. If such an effect is
 weak, it is evaluated like the others, with an amplitude in addition to its shape, because the data cannot separate the two. If it
 is strong, it is evaluated with the amplitude 1, and its shape is found exactly. If a strong effect acts on the output of the
-sensor, the nominal parameters are fitted together with the effect: the nominal parameters by Gauss–Newton steps, and the shape by a
-search. If the nominal parameters were fitted without the effect, they would absorb a part of the effect, and the computed output
-would be wrong.
+sensor, the nominal parameters are fitted together with the effect. The nominal parameters are found by Gauss–Newton steps, and the
+shape by a search. If the nominal parameters were fitted without the effect, they would absorb a part of the effect, and the
+computed output would be wrong.
 """
 
 from __future__ import annotations
@@ -104,9 +105,10 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
 
 
 def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes: Array) -> tuple[list[Weighed], Array]:
-    """Evaluates a strong nonlinear effect with its secants at the most probable amplitudes. The secants are computed again until the
-    amplitudes no longer change. A secant is exact at its amplitude, and it has as many parameters as the linear approximation. It is
-    therefore used even if it explains the data no better. It is rejected only if it explains the data clearly worse."""
+    """Evaluates a strong nonlinear effect with its secants at the most probable amplitudes. Secants are columns that replace the
+    linear approximation: at given amplitudes, the sum of the columns, each multiplied by its amplitude, is exactly the effect. The
+    secants are computed again until the amplitudes no longer change. They have as many parameters as the linear approximation. They
+    are therefore used even if they explain the data no better, and rejected only if they explain the data clearly worse."""
     least = float(log_bayes.max()) - _WORSE
     for _ in range(_SETTLING):
         (best,) = usable
@@ -124,9 +126,9 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """Does the same as `_curved`, for an effect that has a shape. First, the secants at the amplitudes of the most probable shape
-    are computed. Then the shape is searched again with these secants, and the nominal parameters are fitted together with the
-    effect."""
+    """Does the same as `_curved`, for an effect that has a shape. First, the secants (see `_curved`) at the amplitudes of the most
+    probable shape are computed. Then the shape is searched again with these secants, and the nominal parameters are fitted together
+    with the effect."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -177,9 +179,9 @@ def _together(weighing: Weighing, effect: Shaped, best: Weighed, values: Sequenc
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed]) -> tuple[tuple[Weighed, float], ...]:
-    """Evaluates a strong effect whose shape determines it completely. The amplitude has the value that physics fixes. For example,
-    the time constant of a lag determines both the delay and the attenuation. The result is empty if the data require the opposite
-    sign, or if the effect is too weak for its amplitude to mean anything."""
+    """Evaluates a strong effect whose shape determines it completely. The amplitude is not fitted; it has the value 1, which
+    physics fixes. For example, the time constant of a lag determines both the delay and the attenuation. The result is empty if the
+    data require the opposite sign, or if the effect is too weak for its amplitude to mean anything."""
     best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
     forms = whole_forms(weighing, effect) if best.amplitudes[0][0] > 0 else []
     if len(forms) < 3 or any(form.trace <= 0 for form, _ in forms):
@@ -188,8 +190,8 @@ def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed]) -> tuple[tu
 
 
 def _averaged(forms: Sequence[Weighed]) -> Array:
-    """Returns the log Bayes factor (G,), averaged over the shapes of an effect with the amplitude 1. The energy λ of the effect has the
-    same prior as for other effects."""
+    """Returns the log Bayes factor (G,), averaged over the shapes of an effect with the amplitude 1. The energy λ of the effect, in
+    units of the noise, has the same prior as for other effects."""
     width = np.abs(np.gradient(np.log([form.trace for form in forms]))) / RANGE
     share = width / width.sum()
     stacked = np.array([form.log_bayes for form in forms])
@@ -201,8 +203,8 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
     of the grid has the same prior.
 
     Three rounds add four shapes between the best shape and each neighbour, which is enough for the sharp peak of an effect of a
-    hundred standard deviations. The best shape with a random walk of the gyros may differ from the best shape without it; the grid
-    is then refined around both shapes.
+    hundred standard deviations. If the best shape with a random walk of the gyros differs from the best shape without it, the grid
+    is refined around both shapes.
     """
     have = {float(item.variant.shape or 0.0): item for item in coarse}
     grid = np.array(sorted(have))
@@ -262,8 +264,8 @@ def whole_forms(
 
 @dataclass(frozen=True)
 class _Found:
-    """Contains a shape that was found for an effect with the amplitude 1. `seen`: the recording with the nominal output. `along`: the
-    weights with which the shape was searched. `sigma`: standard deviation of the logarithm of the shape."""
+    """Contains a shape that was found for an effect with the amplitude 1. `seen`: the recording with the nominal output. `along`:
+    the prepared recording with which the shape was searched. `sigma`: standard deviation of the logarithm of the shape."""
 
     seen: Observed = field(repr=False)
     along: Weighing = field(repr=False)
@@ -293,9 +295,10 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
 
 
 def _start(weighing: Weighing, effect: Shaped) -> tuple[Weighed, Sequence[Array] | None]:
-    """Returns the form from which a search starts, and the nominal parameters for which this form was computed; None for the
-    parameters that are fitted without any effect. For an effect on the output, these are the fitted parameters or those of the
-    declared sensor, whichever explain more: if most readings are limited, the fitted scale factors are far too small."""
+    """Returns the form from which a search starts, and the nominal parameters for which this form was computed. None stands for the
+    parameters that are fitted without any effect. For an effect on the output, the search also tries the parameters of the declared
+    sensor, and uses whichever parameters explain more. The reason is that the fitted scale factors are far too small if the output
+    is limited in most readings."""
     starts: list[Sequence[Array] | None] = [None]
     if on_output(effect) is not None:
         starts.append([np.zeros(whole.shape[1]) for whole in weighing.whole])
@@ -311,7 +314,8 @@ def _start(weighing: Weighing, effect: Shaped) -> tuple[Weighed, Sequence[Array]
 
 def columns_of(weighing: Weighing, effect: Effect, form: Weighed, amplitudes: Array) -> Sequence[Column]:
     """Returns the columns of a form of an effect, with samples; no columns if the effect must be evaluated in another way.
-    `amplitudes`: array of shape (p,) in magnitudes, amplitudes at which the columns of a strong nonlinear effect are secants."""
+    `amplitudes`: array of shape (p,) in magnitudes. At these amplitudes, the columns of a strong nonlinear effect are exact
+    (secants)."""
     observed = weighing.observed
     if isinstance(effect, CurvedAndShaped):
         return ()
@@ -328,12 +332,13 @@ def columns_of(weighing: Weighing, effect: Effect, form: Weighed, amplitudes: Ar
 
 @dataclass(frozen=True)
 class OnOthers:
-    """Describes an effect on the output that acts together with other effects, such as a limit of an output that other effects
-    change.
+    """Describes an effect on the output that acts together with other effects. An example is a limit of an output that other
+    effects also change.
 
     `forms`: the forms of the effect with the amplitude 1, and their probabilities. To the first order, the common output is the sum
     of the nominal output, a form, and `others` multiplied by the amplitudes of the other effects. `others`: for each channel, the
-    coefficients (M, P) of the other effects as the output shows them. `point`: how the effect changes with the nominal parameters."""
+    coefficients (M, P) of the other effects as the output shows them. `point`: how the effect changes with the nominal
+    parameters."""
 
     forms: tuple[tuple[Weighed, float], ...]
     others: tuple[Array, ...] = field(repr=False)
@@ -344,8 +349,9 @@ class OnOthers:
         return max(self.forms, key=lambda one: one[1])[0]
 
     def weighed(self, weighing: Weighing, together: Weighed) -> tuple[Weighing, Weighed]:
-        """Returns weights with which the effect changes with the nominal parameters, and all columns of the effects (`together`) under
-        these weights. The amplitudes then have the uncertainty that includes the uncertainty of the nominal parameters."""
+        """Returns a copy of `weighing` that takes account of how the effect changes with the nominal parameters, and the evaluation
+        of all columns of the effects (`together`) with this copy. The uncertainty of the amplitudes then includes the uncertainty
+        of the nominal parameters."""
         along = weighing.moving(self.point.change, self.point.values)
         (found,) = along.weigh([together.variant], together.raw)
         return along, found

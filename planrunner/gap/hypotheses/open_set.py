@@ -1,9 +1,10 @@
 """Evaluates patterns outside the catalogue, which compete with the effects. Thus a diagnosis can report "something that the
 catalogue does not contain". Such a pattern is called a competitor. It is a pattern of the whitened residual, in one channel or in a
-triad. Some patterns differ at random from segment to segment, or change smoothly with rate, gravity, temperature or time: offsets,
-scale-like errors, transients, and waveforms per turn or per rocking period. Further patterns are a deviation in a single segment, a
-periodic bias, bursts, and a tone that keeps its phase over the whole run. The competitors are evaluated like effects, individually
-and in combination.
+triad. Patterns of the coefficients lie in the span of the basis that describes each segment (`evidence.spectrum`); bursts and tones
+lie outside it. Some patterns differ at random from segment to segment, or change smoothly with rate, gravity, temperature or time:
+offsets, scale-like errors, transients, and waveforms per turn or per rocking period. Further patterns are a deviation in a single
+segment, a periodic bias, bursts, and a tone that keeps its phase over the whole run. The competitors are evaluated like effects,
+individually and in combination.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
 BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
 MATERIAL = float(np.expm1(2 * HOLDS))
-"""A tone whose power, relative to the variance of the noise, is at least this value is not a part of correctly declared noise."""
+"""If the power of a tone, divided by the variance of the noise, is at least this value, the tone is not a part of correctly
+declared noise."""
 _TUNINGS = 4  # corrections of the frequency of a fitted tone
 _NEAR = 8  # spacings of a periodogram about its highest frequency, between which finer values are tried
 _BLOCKS = 1024  # of time, over which shifted samples are summed
@@ -52,12 +54,12 @@ class Line:
 @dataclass(frozen=True)
 class Kinds:
     """Contains the evidence for the patterns outside the catalogue (competitors). `log_bayes`: for each competitor, an array of
-    shape (G,): the log Bayes factor of the competitor, relative to no pattern, at each setting of the noise. The factor is −∞ for
-    settings with a random walk of the gyros' bias. `several`: array of shape (G,), log Bayes factor of combinations of patterns of
-    different kinds. `by_channel`: for each competitor, an array of shape (K,): the log Bayes factor of the competitor in each
-    channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns outside the coefficients. No
-    effect of the catalogue acts outside the coefficients, so these patterns are independent of every effect. `lines`: the strongest
-    tone of each channel that shows a tone.
+    shape (G,): the log Bayes factor of the competitor, relative to no pattern, at each setting of the noise (levels of flicker and
+    random walk). The factor is −∞ for settings with a random walk of the gyros' bias. `several`: array of shape (G,), log Bayes
+    factor of combinations of patterns of different kinds. `by_channel`: for each competitor, an array of shape (K,): the log Bayes
+    factor of the competitor in each channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns
+    outside the coefficients. No effect of the catalogue acts outside the coefficients, so these patterns are independent of every
+    effect. `lines`: the strongest tone of each channel that shows a tone.
     """
 
     log_bayes: dict[Pattern, Array]
@@ -94,11 +96,11 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
 
 
 def something_else(weighing: Weighing, signatures: Sequence[Array] = (), explained: float = np.inf) -> float:
-    """Returns the log Bayes factor of the patterns of the coefficients, single and in combination, against no pattern. The factor
-    is computed at the most probable setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the
+    """Returns the log Bayes factor of the patterns that lie in the coefficients, single and in combination, against no pattern. The
+    factor is computed at the most probable setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the
     evidence for something else in addition to these effects. `signatures`: for each channel, the coefficients (M,) that these
-    effects cause. `explained`: log evidence of these effects. If the size of the effects seems to differ between motions, and these
-    differences explain more than the effects themselves, they are not a property of the effects and are left out."""
+    effects cause. `explained`: log evidence of these effects. The effects may seem to have different sizes in different motions. If
+    such differences explain more than the effects themselves, they are not a property of the effects and are left out."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
@@ -127,7 +129,7 @@ def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
 
 def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Array]) -> float:
     """Returns the log Bayes factor of combinations of patterns of several sorts, where each sort is present with probability ½. A
-    cause outside the catalogue often appears in more than one sort.
+    sort is a kind of coefficients, such as the segment means. A cause outside the catalogue often appears in more than one sort.
 
     Only the nominal parameters connect coefficients of different sorts. Through these parameters, a strong sort influences all
     other sorts. Therefore, the strongest sort is evaluated first, and its coefficients are then removed. These steps are repeated
@@ -159,7 +161,7 @@ def _maybe(log_bayes: float) -> float:
 
 
 def scopes_of(weighing: Weighing) -> list[list[int]]:
-    """Returns the scopes of patterns: every single channel, then the triads."""
+    """Returns the scopes of patterns, as lists of channel indices: every single channel, then the triads."""
     triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
     return [[index] for index in range(len(weighing.observed.channels))] + triads
 
@@ -195,7 +197,8 @@ class _Patterns:
 
 
 def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list[float]:
-    """Returns the log Bayes factor of a design in the channels of each scope; −∞ for scopes in which the design has no effect."""
+    """Returns the log Bayes factor of a design (the columns of a pattern) in the channels of each scope; −∞ for scopes in which the
+    design has no effect. `spectra`: for each channel, the eigenvalues and the squared scores of the design."""
     size = np.zeros((len(scopes), max(sum(len(spectra[index][0]) for index in scope) for scope in scopes)))
     along = np.zeros_like(size)
     for row, scope in enumerate(scopes):
@@ -249,7 +252,8 @@ def outside(weighing: Weighing) -> Outside:
 
 @dataclass(frozen=True)
 class _Scan:
-    """Contains the remainder of a channel in segments at rest and turning, prepared for a periodogram.
+    """Contains the remainder of a channel (samples minus their components in the basis) in segments at rest and turning, prepared
+    for a periodogram.
 
     `chosen`: array of shape (n,), indices of the samples that are used. `weight`: array of shape (n,), number of raw samples that
     each of these samples combines. `samples`: array of shape (n,), the samples in SI units, each divided by the level of the noise
@@ -343,10 +347,10 @@ def _scan(weighing: Weighing, index: int) -> _Scan:
 
 def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
     """Fits a sine to the samples of a scan, with Gauss–Newton steps in the frequency, and subtracts the part of the sine that lies
-    outside the basis. `frequency`: approximate frequency of the sine, Hz. Returns the remaining samples (n,) and the fitted
-    frequency. `spacing`: distance between the frequencies of the periodogram, Hz. The search starts at the frequency with the
-    highest power among closely spaced frequencies around `frequency`. The closely spaced frequencies are necessary because gaps
-    between segments make neighbouring values of the periodogram almost as high as the highest one."""
+    outside the basis of the coefficients. Returns the remaining samples (n,) and the fitted frequency, Hz. `frequency`: approximate
+    frequency of the sine, Hz. `spacing`: distance between the frequencies of the periodogram, Hz. The search starts at the
+    frequency with the highest power among closely spaced frequencies around `frequency`. The closely spaced frequencies are
+    necessary because gaps between segments make neighbouring values of the periodogram almost as high as the highest one."""
     observed, spectrum = weighing.observed, weighing.spectrum
     time = observed.time - observed.time.mean()
     root = np.sqrt(scan.weight)

@@ -1,9 +1,10 @@
 """Computes how an effect on the output of the sensor changes with the nominal parameters.
 
 A dead zone or a limit acts on the output. Its size therefore depends on the bias and the scale factors of the sensor. To first
-order in the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). The form of the effect was computed at the nominal
-parameters θ₀. The columns of E are central differences. The step of these differences is one standard uncertainty of each
-parameter, because the exact derivative of a dead zone is infinite at its edge.
+order in the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). Here, θ₀ is the operating point: the nominal parameters
+at which the form of the effect was computed. Each column of E is the change of the effect per change of one parameter, a central
+difference. The step of these differences is one standard uncertainty of each parameter, because the exact derivative of a dead zone
+is infinite at its edge.
 """
 
 from __future__ import annotations
@@ -23,17 +24,18 @@ _WIDTHS = (30.0, 10.0, 3.0, 1.0)
 """Steps of the differences that replace derivatives in the first iterations, in standard uncertainties of the output."""
 _ROUNDS = 9  # iterations of Gauss–Newton
 _ROUNDING = 1e-6
-"""Change of the output per change of the nominal output below which the output counts as constant. The rest is rounding error, which
-must not count as information about the parameters."""
+"""If the output changes by less than this fraction of a change of the nominal output, it counts as constant. Smaller changes are
+rounding errors, which must not count as information about the parameters."""
 _STILL = 0.1  # standard deviations of the noise by which the effect may still change
 
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """Contains the nominal parameters about which an effect on the output is linear. Each attribute has one array per channel.
-    `values`: shape (q,), the nominal parameters θ₀ in units of their magnitudes. `nominal`: shape (M, q), the columns of the
-    nominal parameters. `change`: shape (M, q), the columns of E, multiplied by the amplitude of the effect; zero if the effect does
-    not act on the channel."""
+    """Contains the nominal parameters at which an effect on the output is linearised, and its change with these parameters. Each
+    attribute has one array per channel. `values`: shape (q,), the nominal parameters θ₀ in units of their magnitudes. `nominal`:
+    shape (M, q), the columns of the nominal parameters. `change`: shape (M, q), the change of the effect per magnitude of each
+    parameter (E in the description of the module, multiplied by the amplitude of the effect); zero if the effect does not act on
+    the channel."""
 
     values: tuple[Array, ...]
     nominal: tuple[Array, ...] = field(repr=False)
@@ -107,9 +109,10 @@ def settled(
 def _changes(
     weighing: Weighing, effect: Shaped, shape: float, seen: Observed, amplitude: float, step: Array
 ) -> list[Array]:
-    """Returns, for each channel, the change (M, q) of the effect per magnitude of each nominal parameter. An effect on the output is a
-    function of the nominal output alone, so its derivative is the product of two derivatives. The other arguments are those of
-    `_slopes`."""
+    """Returns, for each channel, the change (M, q) of the effect per magnitude of each nominal parameter. An effect on the output
+    is a function of the nominal output alone, so its derivative follows from the chain rule: it is the derivative of the effect
+    with respect to the nominal output, multiplied by the derivative of the nominal output with respect to the parameter. The other
+    arguments are those of `_slopes`."""
     change = [np.zeros_like(whole) for whole in weighing.whole]
     for channel, slope in _slopes(effect, shape, seen, step).items():
         samples = slope[:, None] * weighing.samples_of(channel)
@@ -135,9 +138,9 @@ def _slopes(effect: Shaped, shape: float, seen: Observed, step: Array) -> dict[i
 def passed_on(
     weighing: Weighing, effect: Shaped, shape: float, seen: Observed, columns: Sequence[Column]
 ) -> list[Array]:
-    """Computes how other effects appear after an effect on the output. A limited output, for example, does not show them. Returns,
-    for each channel, the coefficients (M, P) of `columns`, multiplied by the derivative of the output with respect to its nominal
-    value. `seen`: the recording with the nominal output, which contains the other effects."""
+    """Computes how other effects appear after an effect on the output. For example, they do not appear while the output is at a
+    limit. Returns, for each channel, the coefficients (M, P) of `columns`, multiplied by the derivative of the output with respect
+    to its nominal value. `seen`: the recording with the nominal output, which contains the other effects."""
     slopes = _slopes(effect, shape, seen, _steps(weighing))
     passed = [
         replace(

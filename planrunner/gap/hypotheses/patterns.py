@@ -1,5 +1,5 @@
-"""Describes patterns of the coefficients that effects of the catalogue do not cause. These are the possible forms of "something
-else". Each pattern is a design, that is, a set of columns.
+"""Describes patterns that effects of the catalogue do not cause. The patterns refer to the coefficients that describe each segment
+(`evidence.spectrum`). These are the possible forms of "something else". Each pattern is a design, that is, a set of columns.
 
 The patterns are offsets, scale-like errors, transients and waveforms per turn or per rocking period. Patterns differ from segment
 to segment, or change smoothly with rate, gravity, temperature or time.
@@ -24,8 +24,8 @@ Rows = NDArray[np.bool_]
 
 
 class Sort(Enum):
-    """Names the kind of coefficients that a pattern consists of. For a pattern outside the basis, it names the kind of the pattern.
-    `SEVERAL`: the pattern consists of coefficients of more than one kind."""
+    """Names the kind of coefficients that a pattern consists of. For a pattern outside the basis of the coefficients, it names the
+    kind of the pattern itself. `SEVERAL`: the pattern consists of coefficients of more than one kind."""
 
     MEANS = "means"
     TRANSIENT = "transient"
@@ -70,9 +70,10 @@ WHOLE = {
     Sort.ROCKING: Pattern("rocking waveform", Sort.ROCKING, Factor.TABLE_ANGLE),
     **{sort: Pattern(f"{h} per turn, per segment", sort, Factor.TABLE_ANGLE) for h, sort in HARMONICS.items()},
 }
-"""For each sort of coefficients, the pattern that contains all coefficients of this sort."""
+"""For each sort (kind of coefficients), the pattern that contains all coefficients of this sort."""
 CHANGING = Pattern("offset and transient while the temperature changes", Sort.SEVERAL, Factor.TEMPERATURE)
-"""The pattern that acts both on the means and within the segments."""
+"""The pattern that acts both on the segment means and on the changes within the segments, in segments within which the temperature
+changes."""
 SIZES = Pattern("size of the effect by motion", Sort.SEVERAL, Factor.RATE)
 SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
@@ -154,8 +155,8 @@ def sorts(weighing: Weighing) -> dict[Sort, Rows]:
 
 def factors(weighing: Weighing) -> Iterator[PatternDesign]:
     """Yields patterns that effects of the catalogue can also follow, with designs like those of `designs`. These patterns are used
-    to locate the gap, and they do not count as unknown. Each factor is included in its simplest form, so that a factor with few
-    parameters can prevail over a factor that needs many. A rotation about the vertical does not change the input of an
+    to locate the gap, and they do not count as unknown. For each factor, the pattern has the simplest form. Thus a factor that
+    needs few parameters can prevail over a factor that needs many. A rotation about the vertical does not change the input of an
     accelerometer. The same rotation changes the input of a gyro, because of the Earth's rate.
     """
     observed, spectrum = weighing.observed, weighing.spectrum
