@@ -1,8 +1,8 @@
 """Represents the covariances between the coefficients of a segment.
 
-Coefficients of different segments are independent, except that slow noise correlates the means. The covariance of all coefficients
-of a channel therefore consists of one block for each segment. Blocks of different sizes are padded with the identity, so that all
-of them are factorised at once.
+Slow noise correlates the means of different segments. Otherwise, coefficients of different segments are independent. Apart from
+slow noise, the covariance of all coefficients of a channel therefore consists of one block for each segment. Blocks of different
+sizes are padded with the identity, so that all of them are factorised at once.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ _LEAST = 1e-3  # least variance of a coefficient, relative to its own, that the 
 @dataclass(frozen=True)
 class Blocks:
     """Contains one matrix for each of S segments, such as the covariance of the coefficients of the segment. `size`: number of
-    coefficients of each segment. `matrix`: array of shape (S, m, m), padded with the identity."""
+    coefficients of each segment. `matrix`: array of shape (S, m, m), the matrices, padded with the identity to the size m of the
+    largest one."""
 
     size: Sequence[int]
     matrix: Array

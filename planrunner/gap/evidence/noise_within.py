@@ -1,13 +1,14 @@
 """Measures the noise that a recording shows within segments: its spectrum, and its level in every segment.
 
-The spectrum and the level are measured outside the coefficients, where no effect of the catalogue acts. Therefore noise cannot
-absorb an effect, and an effect cannot appear as noise. At the lowest frequencies, nearly all of the data belong to the
-coefficients, so little can be measured. If the noise is coloured, its spectrum at these frequencies is therefore also derived from
-the cosine coefficients, by the median of their squares. An effect in fewer than half of the segments hardly changes this median.
-There are several reasons for coloured noise: outputs are rounded, filtered or differenced, or they contain lines of interference.
-Vibration can make the noise differ between segments. By default, the noise counts as white, and as equal in all segments. A
-description with more parameters is used only if Schwarz's criterion (BIC; Annals of Statistics 6, 1978) prefers it. A spectrum that
-is measured only at rest, or only in motion, is used for all segments if it describes the other segments better than white noise.
+The spectrum and the level are measured in the remainder of the samples, outside the coefficients, where no effect of the catalogue
+acts. Therefore noise cannot absorb an effect, and an effect cannot appear as noise. At the lowest frequencies, nearly all of the
+data belong to the coefficients, so little can be measured. If the noise is coloured, its spectrum at these frequencies is therefore
+also derived from the cosine coefficients, by the median of their squares. An effect in fewer than half of the segments hardly
+changes this median. There are several reasons for coloured noise: outputs are rounded, filtered or differenced, or they contain
+lines of interference. Vibration can make the noise differ between segments. By default, the noise counts as white, and as equal in
+all segments. A description with more parameters is used only if Schwarz's criterion (BIC; Annals of Statistics 6, 1978) prefers it.
+A spectrum that is measured only at rest, or only in motion, is used for all segments if it describes the other segments better than
+white noise.
 """
 
 from __future__ import annotations
@@ -54,11 +55,12 @@ class NoiseWithin:
     `frequency`: array of shape (B,) in Hz, centres of the bands. `weight`: array of shape (B,), number of coefficients in each
     band. `spectrum`: array of shape (2, B, K), spectra of the segments at rest and of the segments in motion, as the cosine
     transform of a segment shows them. `density`: array of shape (2, B, K), the spectra at rest and in motion without the leakage of
-    the transform. `level`: array of shape (S, K), level of each segment. `own`: array of shape (S, B, K), variance in each band of
-    a segment, divided by the product of `spectrum` and `level`. `moving`: array of shape (S,), index of the spectrum that applies
-    to each segment: 0 at rest, 1 in motion. `coloured`: array of shape (2, K), True if a spectrum is not white. `differing`: array
-    of shape (K,), True if the level differs between segments. `peaks`: array of shape (M, K), the least variance of each harmonic
-    of the motion, relative to the level of its segment; zero for other coefficients.
+    the transform, that is, without noise that the transform shows at wrong frequencies. `level`: array of shape (S, K), level of
+    each segment. `own`: array of shape (S, B, K), variance in each band of a segment, divided by the product of `spectrum` and
+    `level`. `moving`: array of shape (S,), index of the spectrum that applies to each segment: 0 at rest, 1 in motion. `coloured`:
+    array of shape (2, K), True if a spectrum is not white. `differing`: array of shape (K,), True if the level differs between
+    segments. `peaks`: array of shape (M, K), lower limit of the variance of each harmonic of the motion, relative to the level of
+    its segment; zero for other coefficients.
     """
 
     frequency: Array
@@ -86,14 +88,15 @@ class NoiseWithin:
         )
 
     def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> list[Blocks]:
-        """Returns the covariances of the coefficients within each segment, by channel.
+        """Returns, for each channel, the covariances between the coefficients of the same segment.
 
-        The covariance of two coefficients with the vectors u and v of the basis is ∫ S(f)·U*(f)·V(f) df for stationary noise. If
-        the noise is strong at high frequencies, this covariance is not zero. The reason is that all vectors of even order are alike
-        at the ends of a segment, and so are all vectors of odd order. The variance of a coefficient of the cosine transform, or of
-        a harmonic, is at least the spectrum of the cosine transform at its frequency. A harmonic that begins or ends within a
-        period contains more noise of high frequencies than a vector of the cosine transform. Means count as independent of the
-        other coefficients, because slow noise determines them.
+        The covariance of two coefficients with the vectors u and v of the basis is ∫ S(f)·U*(f)·V(f) df for stationary noise, where
+        S is the spectral density, and U and V are the Fourier transforms of u and v. If the noise is strong at high frequencies,
+        this covariance is not zero. The reason is that all vectors of even order are alike at the ends of a segment, and so are all
+        vectors of odd order. The variance of a coefficient of the cosine transform, or of a harmonic, is at least the spectrum of
+        the cosine transform at its frequency. A harmonic that begins or ends within a period contains more noise of high
+        frequencies than a vector of the cosine transform. Means count as independent of the other coefficients, because slow noise
+        determines them.
         """
         size = [len(basis.frequency) for basis in spectrum.bases]
         found = [Blocks.diagonal(size, self.level[:, channel]) for channel in range(self.level.shape[1])]
@@ -116,9 +119,9 @@ class NoiseWithin:
         """Returns the covariance of the coefficients of a segment, relative to the level of the segment, shape (K, m, m). `half`:
         half of the sampling rate, Hz. `peaks`: array of shape (m, K), the rows of the attribute `peaks` for this segment.
 
-        The harmonics of the motion absorb all coefficients near their frequencies. Therefore, a segment in motion does not show a
-        line of the noise at these frequencies. The spectrum at rest shows such a line. If the spectrum at rest is larger, the
-        difference is added to the variance.
+        The harmonics of the motion absorb all coefficients near their frequencies. Therefore, a line of the noise at these
+        frequencies is not visible in a segment in motion, but in the spectrum at rest. If the spectrum at rest is larger, the
+        difference is added to the variance of the harmonic.
         """
         from scipy.fft import rfft
 
@@ -233,14 +236,16 @@ def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Arr
 
 
 def _peaks(noise: NoiseWithin, observed: Observed, spectrum: Spectrum, white: Array) -> Array:
-    """Returns the least variance of the harmonics of the motion, relative to the level of the segment, shape (M, K); zero for other
-    coefficients. The least variance is the spectrum of all segments, at rest and in motion. A single segment is not used, because
-    the few neighbours of a harmonic in its own segment may be small by chance. In addition, a resonance or a line of the noise can
-    be much narrower than a band. The coefficients of the remainder's cosine transform show such a peak with the resolution of a
-    segment's length. Let a harmonic of the frequency f₀ be observed for the time T. At rest, its variance is the mean of the
-    squares of these coefficients with the weight sinc²(T·(f − f₀)). In motion, the remainder does not contain the harmonic itself,
-    so its neighbours up to the distance 2/T are used instead. A peak counts if Schwarz's criterion prefers it to the spectrum of
-    the bands. The criterion counts these coefficients if the noise is known to be coloured, and otherwise all coefficients.
+    """Returns a lower limit for the variance of the harmonics of the motion, relative to the level of the segment, shape (M, K);
+    zero for other coefficients. The limit follows from the spectra of all segments, at rest and in motion. A single segment is not
+    used, because the few neighbours of a harmonic in its own segment may be small by chance.
+
+    In addition, a resonance or a line of the noise can be much narrower than a band. The coefficients of the remainder's cosine
+    transform show such a peak with the resolution of a segment's length. Let a harmonic of the frequency f₀ be observed for the
+    time T. At rest, its variance is the mean of the squares of these coefficients with the weight sinc²(T·(f − f₀)). In motion, the
+    remainder does not contain the harmonic itself, so its neighbours up to the distance 2/T are used instead. If Schwarz's
+    criterion prefers a peak to the spectrum of the bands, the peak counts. If the noise is known to be coloured, the number of data
+    in the criterion is the number of these coefficients, otherwise the number of all coefficients.
     """
     from scipy.fft import dct
 
@@ -282,8 +287,9 @@ def _peaks(noise: NoiseWithin, observed: Observed, spectrum: Spectrum, white: Ar
 
 
 def _leakage(turns: Array, count: float) -> Array:
-    """Returns a matrix (B, B). It contains the part of the density of each band (second index) that the cosine transform of `count`
-    samples shows in another band (first index). `turns`: array of shape (3, B), edges and centres of the bands, rad per sample.
+    """Returns a matrix (B, B). The cosine transform of `count` samples shows a part of the density of a band in other bands. The
+    matrix contains this part for each band (second index) and each other band (first index). `turns`: array of shape (3, B), edges
+    and centres of the bands, rad per sample.
 
     A vector of the transform with the frequency θ contains other frequencies ω with the density
     sin²(ω/2)·cos²(θ/2)/(n·(sin²(ω/2) − sin²(θ/2))²), averaged over the phase of the ends of the segment.
@@ -338,8 +344,8 @@ def _typical(observed: Observed, spectrum: Spectrum) -> Array:
 
 def _carried(energy: Array, count: Array, above: float, carried: float) -> Array:
     """Returns the levels (B,) of the bands, computed from the highest band to the lowest. Each level is a weighted average of the
-    band's own energy and the level of the next higher band; for the highest band, the level `above` takes the place of the latter.
-    The level of the higher band has the weight of `carried` coefficients."""
+    band's own energy and the level of the next higher band, which has the weight of `carried` coefficients. The highest band has no
+    higher band; the level `above` is used instead."""
     out = np.ones(len(energy))
     for band in range(len(energy) - 1, -1, -1):
         above = max((energy[band] + carried * above) / (count[band] + carried), _SMALLEST)
@@ -353,9 +359,9 @@ def moderated(energy: Array, count: Array) -> Array:
 
     The variances of the segments are assumed to scatter like the inverse of a χ² variable. The degrees of freedom of this variable
     follow from the scatter of the energies (Smyth, Stat. Appl. Genet. Mol. Biol. 3, 2004). If a common variance of all segments
-    explains the scatter of the energies, the result is 1. Otherwise, each result is the variance of the predictive distribution
-    (Student's t) of one more coefficient. `energy`: array of shape (S,), energy of the band in each segment, relative to the common
-    variance. `count`: array of shape (S,), number of coefficients of the band in each segment.
+    explains the scatter of the energies, every result is 1. Otherwise, each result is the variance that one more coefficient of the
+    segment would have in its predictive distribution (Student's t). `energy`: array of shape (S,), energy of the band in each
+    segment, relative to the common variance. `count`: array of shape (S,), number of coefficients of the band in each segment.
     """
     from scipy.optimize import brentq
     from scipy.special import digamma, polygamma

@@ -29,8 +29,9 @@ _MOST = 60  # counts that a segment at rest may reach
 
 
 def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
-    """Returns True if the counts of a channel are so coarse that the noise does not dither the rounding. `white`: standard
-    deviation of a rounded sample. The square of `white` includes the variance count²/12 of the rounding."""
+    """Returns True if the counts of a channel are so coarse that the noise does not dither the rounding, so that rounding errors do
+    not average out. `white`: standard deviation of a rounded sample. The square of `white` includes the variance count²/12 of the
+    rounding."""
     return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))
 
 
@@ -45,7 +46,7 @@ def dithering(sigma: Array | float) -> Array:
 
 def _left_over(characteristic: Array) -> Array:
     """Computes the variance of the rounding error, divided by the variance without noise, from the characteristic function of the
-    noise at 2πk. `characteristic`: array whose last axis is k in `HARMONICS`."""
+    noise at 2πk. `characteristic`: array of shape (…, H) with one value for each of the H harmonics k in `HARMONICS`."""
     return np.asarray(characteristic**2 @ (6 / (np.pi * HARMONICS) ** 2))
 
 
@@ -57,8 +58,8 @@ def _characteristic(sigma: Array | float) -> Array:
 def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> Array:
     """Returns the variance of the rounding error in the mean of many samples, SI², shape (K,). `white`: array of shape (K,) in SI
     units, standard deviation of a rounded sample. `coarse`: array of shape (K,), True if the noise of a channel is too small to
-    dither the rounding. For coarse channels, the variance is averaged over all noise levels. The weight of a noise level is its
-    agreement with the declared noise, and with the number of samples at each count in segments at rest. If these numbers show a
+    dither the rounding. For coarse channels, the variance is averaged over all noise levels. A noise level has a large weight if it
+    agrees with the declared noise, and with the numbers of samples at each count in segments at rest. If these numbers show a
     mixture of smaller and larger noise, the variance is that of the mixture: noise with many small values dithers less than
     Gaussian noise of the same standard deviation. If samples were averaged over bins, these numbers are unknown and are not
     used."""

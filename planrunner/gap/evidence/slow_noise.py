@@ -1,5 +1,6 @@
-"""Describes slow noise. Flicker is described by the exact covariances of its means over segments, and by its spectrum within the
-segments. A random walk is described by the exact covariances of all coefficients.
+"""Describes slow noise: flicker and random walk. Flicker is described by the exact covariances of its means over segments, and by
+its spectrum within the segments. A random walk is described by the exact covariances of all coefficients, that is, of the segment
+means and of the coefficients that describe the changes within the segments.
 
 Flicker is represented by a sum of Ornstein–Uhlenbeck processes whose correlation times are two octaves apart (Keshner, "1/f noise",
 Proc. IEEE 70, 1982). A random walk has the covariance q²·min(t, t'). The averages of both covariances over the segments have a
@@ -60,8 +61,8 @@ def random_walk(starts: Array, ends: Array) -> Array:
     """Computes the covariance of the segment means of a random walk with unit density (1/√s), shape (S, S). The walk starts from
     zero at the first start time.
 
-    The covariance of two disjoint segments is the middle time of the earlier segment. The variance of a segment of length T is its
-    start time plus T/3.
+    Times are counted from the first start time. The covariance of two disjoint segments is then the middle time of the earlier
+    segment. The variance of a segment of length T is its start time plus T/3.
     """
     begin = starts - starts[0]
     middles = (begin + ends - starts[0]) / 2
@@ -94,9 +95,10 @@ def random_walk_within(vectors: Array, step: float) -> tuple[Array, Array, Array
 class WalkAcross:
     """Contains the covariances that a random walk causes between the segment means and the M coefficients within the segments.
 
-    `own`: array of shape (M,), covariance of each coefficient with the mean of its own segment. `afterwards`: array of shape (M,),
-    covariance of each coefficient with the mean of any later segment. The covariance with the means of earlier segments is zero.
-    `first`: array of shape (S,), index of the first coefficient of each segment.
+    A coefficient describes a change within its segment. `own`: array of shape (M,), covariance of each coefficient with the mean of
+    its own segment. `afterwards`: array of shape (M,), covariance of each coefficient with the mean of any later segment. The
+    covariance with the means of earlier segments is zero. `first`: array of shape (S,), index of the first coefficient of each
+    segment.
     """
 
     own: Array

@@ -3,12 +3,12 @@ the remainder in each frequency band.
 
 The coefficients of a segment refer to an orthonormal basis. The basis consists of the lowest orders of the cosine transform
 (DCT-II; order 0 is the mean) and of harmonics of the table's motion (1 to 3 per turn, 1 to 5 per period of rocking). Effects can
-appear at these harmonics. If an encoder shows the motion, the angular rates take the place of the harmonics. In this case, the part
-of the samples that is proportional to the angular accelerations is removed and not used as evidence. The reason is that an unknown
-delay between the encoder and the sensor causes such a part. If this part were kept, it would count as noise at the frequencies of
-the rates. Deterministic effects lie in the span of this basis. The remainder is noise or a tone; only its energies in bands of the
-DCT-II are stored. Outliers far outside the noise are replaced by the fit of the basis and counted, because a single outlier would
-affect all coefficients.
+appear at these harmonics. If an encoder shows the motion, the angular rates take the place of the harmonics. In this case, an
+unknown delay between the encoder and the sensor causes a part of the samples that is proportional to the angular accelerations.
+This part is removed and not used as evidence. If it were kept, it would count as noise at the frequencies of the rates.
+Deterministic effects lie in the span of this basis. The remainder of the samples is noise or a tone; the energies of its DCT-II in
+frequency bands describe it. Outliers far outside the noise are replaced by the fit of the basis and counted, because a single
+outlier would affect all coefficients.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ OCTAVES = 12  # below half the sampling rate, down to which the remainder is div
 FINE = 5  # uppermost octaves, each of which has four bands
 UPPER = 0.999 / 8  # of the sampling rate: bands from here on define the white level, above all slow processes
 RESPONSE = -1
-"""Replaces the order of a harmonic for coefficients of the response to a recorded motion."""
+"""Marks the coefficients of the response to a recorded motion. It stands where other coefficients have the order of their
+harmonic."""
 _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the lower orders are removed
 
 
@@ -101,8 +102,7 @@ class Spectrum:
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
     def outside(self, observed: Observed, columns: Array) -> Array:
-        """Removes from columns (N, P) the components in the basis of each segment. The same components were removed from the
-        samples."""
+        """Removes from columns (N, P) the components in the basis of each segment, as they were removed from the samples."""
         out = columns.copy()
         for basis, part in zip(self.bases, observed.segments(), strict=True):
             out[part] -= basis.removed @ (basis.removed.T @ out[part])
@@ -112,7 +112,7 @@ class Spectrum:
     def runs(self) -> list[tuple[Array, slice]]:
         """Groups consecutive segments whose bases have the same shape, so that a group can be evaluated at once. For each group of
         k segments, returns the transposed bases (k, m, n) and the slice of their samples. If all segments of a group share one
-        basis, the group contains this transposed basis (m, n) only once."""
+        basis, returns this transposed basis (m, n) only once for the group."""
         found, first = [], 0
         for _, run in groupby(self.bases, key=lambda basis: basis.vectors.shape):
             bases = list(run)

@@ -1,10 +1,13 @@
-"""Whitens coefficients with the noise, projects the nominal parameters out of them, and evaluates designs on the result.
+"""Whitens coefficients with the noise, projects the nominal parameters out of them, and evaluates designs on the result. Whitened
+coefficients have independent noise of unit variance. A design is a set of columns, such as the signatures of an effect, whose
+amplitudes are unknown.
 
 A setting of the noise consists of a level of flicker and a level of random walk for each triad. At every setting, the coefficients
-of each channel are whitened: first the coefficients above order 0, segment by segment; then the coefficients of order 0, jointly
-over the segments. Before the second step, the part that the other coefficients predict is subtracted. This part is zero unless
-there is a random walk. Then the nominal parameters, which have a flat prior, are projected out. The likelihood of the residuals is
-the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
+of each channel are whitened: first the coefficients above order 0, which describe the changes within a segment, segment by segment;
+then the coefficients of order 0, which are the segment means, jointly over the segments. Before the second step, the part of the
+means that the other coefficients predict is subtracted. This part is zero unless there is a random walk. Then the nominal
+parameters, which have a flat prior, are projected out. The likelihood of the residuals is the residual likelihood (REML: Patterson
+and Thompson, Biometrika 58, 1971).
 
 Some recordings cannot separate all nominal parameters. Examples are recordings with a single orientation, with poses of unknown
 orientation, or in which gravity is never along an axis. The columns of these parameters are linearly dependent or zero. Therefore,
@@ -37,12 +40,12 @@ FLICKER_FACTORS = (1.0, 0.5, 2.0)
 FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
 WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)
 """Levels of an undeclared random walk. Each level is stated as the expected energy of the random walk in the segment means of the
-triad."""
+triad, in units of the noise of these means."""
 
 
 DEPENDENT = 1e-8
-"""Limit for the singular values of columns of unit length, relative to the largest value. Below the limit, a direction counts as
-dependent."""
+"""Columns of unit length count as linearly dependent in a direction whose singular value, relative to the largest one, is below
+this limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +54,9 @@ class Setting:
 
     `flicker`: factor by which the declared flicker level is multiplied. `walk`: level of the random walk in SI/√s. If `alike` is
     True, `walk` is the density of the random walk in every axis; otherwise it is the scale of the prior from which the density of
-    each axis is drawn. `prior`: prior probability of this setting. The prior probabilities of all settings without a random walk add up
-    to 1. With a random walk, those of energies up to `STRONGEST` add up to 1; the density continues above `STRONGEST`.
+    each axis is drawn. `prior`: prior probability of this setting. The prior probabilities of all settings without a random walk
+    add up to 1. Of the settings with a random walk, those with an expected energy (`WALKS`) of at most `STRONGEST` have prior
+    probabilities that add up to 1; the same density continues above `STRONGEST`.
     """
 
     flicker: float
@@ -62,8 +66,8 @@ class Setting:
 
 
 def settings_of(observed: Observed, slow: slow_noise.SlowNoise, means: Array, kind: str) -> tuple[Setting, ...]:
-    """Lists the settings of a triad. Random walks are included only for gyros; different factors of the flicker level are included
-    only if flicker is declared. `means`: array of shape (S, K) in SI², variances of the segment means without slow noise."""
+    """Lists the settings of the noise of a triad. Random walks are included only for gyros. If flicker is declared, different
+    factors of its level are included. `means`: array of shape (S, K) in SI², variances of the segment means without slow noise."""
     members = observed.of_kind(kind)
     if not members:
         return (Setting(0.0, 0.0, 1.0),)
@@ -86,8 +90,8 @@ def settings_of(observed: Observed, slow: slow_noise.SlowNoise, means: Array, ki
 
 def _walk_energy(observed: Observed, slow: slow_noise.SlowNoise, channel: int, means: Array) -> float:
     """Returns the expected energy of a random walk with unit density in the segment means of one channel, after a constant has been
-    removed. The energy is in units of the noise of the means, which consists of the variances `means` (S,) and the declared
-    flicker."""
+    removed. The energy is in units of the noise of the means. This noise has the variances `means` (S,) without slow noise; the
+    declared flicker is added to them."""
     noise = np.diag(means) + observed.channels[channel].flicker ** 2 * slow.flicker
     inverse = np.linalg.inv(np.linalg.cholesky(noise))
     walk = inverse @ slow.random_walk @ inverse.T
@@ -133,11 +137,12 @@ class ChannelWeights:
     walk. `whiten` scales coefficients (M, …) to unit noise; `project` whitens them and projects the nominal parameters out.
 
     `relative`: array of shape (M,), variance of the noise of each coefficient, divided by the variance of the white noise.
-    `walk_within`: array of shape (M,) in SI²·samples, variance of the coefficients above order 0 due to a random walk.
-    `undithered`: variance of the rounding error of a segment mean. `log_likelihood`: REML of the data without any effect.
-    `log_det`: −2·log_likelihood minus the sum of the squared residuals. `basis`: array of shape (M, q), orthonormal basis of the
-    whitened nominal columns. `scale`: array of shape (M,), factors that whiten coefficients one by one. They apply to all
-    coefficients if there is no slow noise, otherwise only to the coefficients above order 0.
+    `walk_within`: array of shape (M,) in SI²·samples, variance of the coefficients above order 0 (all except the segment means) due
+    to a random walk. `undithered`: variance of the rounding error of a segment mean, which does not average out over the samples.
+    `log_likelihood`: residual log likelihood (REML) of the data without any effect. `log_det`: −2·log_likelihood minus the sum of
+    the squared residuals. `basis`: array of shape (M, q), orthonormal basis of the whitened nominal columns. `scale`: array of
+    shape (M,), factors that whiten coefficients one by one. If there is no slow noise, they apply to all coefficients, otherwise
+    only to the coefficients above order 0.
     """
 
     def __init__(
@@ -192,7 +197,8 @@ class ChannelWeights:
         self._fit(nominal, spectrum.values[:, channel], jointly=level > 0 or walk > 0)
 
     def _fit(self, nominal: Array, values: Array, jointly: bool) -> None:
-        """Projects the nominal columns (M, q) out of the coefficients (M,). `jointly`: True if the means are whitened jointly."""
+        """Projects the nominal columns (M, q) out of the coefficients (M,). `jointly`: True if the segment means are whitened
+        jointly, because slow noise correlates them."""
         if jointly:
             self.scale[self._means] = 1.0
             covariance = self._covariance
@@ -216,10 +222,10 @@ class ChannelWeights:
 
     def towards(self, other: ChannelWeights, share: float, nominal: Array, values: Array) -> ChannelWeights:
         """Returns the weights for the covariance C + share·(C′ − C). C is the covariance of these weights; C′ is the covariance of
-        `other`, which must contain flicker. The two weights must not contain a random walk. `share` may be negative or above 1, as
-        long as the result is a covariance. The covariance is linear in the square of the flicker level, so this method gives the
-        weights for any level of flicker. `nominal`: array of shape (M, q), nominal columns. `values`: array of shape (M,) in SI
-        units, coefficients of the channel."""
+        `other`, which must contain flicker. Neither of the two weights may contain a random walk. The covariance is linear in the
+        square of the flicker level, so this method gives the weights for any level of flicker. `share` may be negative or above 1,
+        as long as the result is a covariance. `nominal`: array of shape (M, q), nominal columns. `values`: array of shape (M,) in
+        SI units, coefficients of the channel."""
         made = copy(self)
         made._covariance = self._covariance + share * (other._covariance - self._covariance)
         variance = 1 / self.scale**2
@@ -325,7 +331,8 @@ class ChannelWeights:
         return whiten
 
     def _within_segments(self, columns: Array) -> Array:
-        """Whitens the coefficients (M, P) above order 0, segment by segment."""
+        """Whitens the coefficients above order 0 of columns (M, P), segment by segment. These are all coefficients except the
+        segment means."""
         out = columns * self.scale[:, None]
         return out if self._correlation is None else self._correlation.apart(out)
 
@@ -359,8 +366,8 @@ class ChannelWeights:
 
     def whitened_rows(self, columns: Array, rows: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
         """Whitens columns that are zero except in a few rows. `columns`: array of shape (n, P), values of these columns in the rows
-        `rows` (n,). Returns the rows in which the whitened columns are not zero, and the whitened values in these rows. Means are
-        whitened jointly, so each mean affects all later means."""
+        `rows` (n,). Returns the rows in which the whitened columns are not zero, and the whitened values in these rows. The segment
+        means are whitened jointly, so each mean affects the whitened values of all later means."""
         if self._correlation is not None:
             whole = np.zeros((len(self.scale), columns.shape[1]))
             whole[rows] = columns
@@ -381,9 +388,10 @@ class ChannelWeights:
 
 
 def _beyond_measured(spectrum: Spectrum, lowest: float, measured: NDArray[np.bool_]) -> Array:
-    """Returns the density of unit flicker that must be added at the frequency of each coefficient, shape (M,); 0 for means. A
-    measured coloured spectrum already contains the flicker; in this case, only the increase below the lowest measured frequency
-    [Hz] is added. `measured`: array of shape (M,), True for the coefficients whose spectrum is measured."""
+    """Returns the spectral density of flicker with the coefficient B = 1 that must be added at the frequency of each coefficient,
+    shape (M,); 0 for segment means. A measured coloured spectrum already contains the flicker; in this case, only the increase
+    below the lowest measured frequency [Hz] is added. `measured`: array of shape (M,), True for the coefficients whose spectrum is
+    measured."""
     out = np.zeros(len(spectrum.frequency))
     within = spectrum.frequency > 0
     out[within] = slow_noise.flicker_spectrum(spectrum.frequency[within])
@@ -420,7 +428,7 @@ def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Co
 
 @dataclass
 class _Shared:
-    """A table of samples (N, P). Each column of the table may belong to several columns of effects.
+    """A table of samples (N, P). Several columns of effects may have the same samples; the table contains these samples once.
 
     `places`: for each column of an effect, its index, its channel, and the index of the table's column that contains its samples.
     `acting`: True for segments in which any of these effect columns acts."""
@@ -473,7 +481,7 @@ class Left:
 
     def without(self, taken: Rows) -> Left:
         """Returns the channel after further rows have been removed. Only the remaining rows then determine the nominal parameters.
-        Rows of order 0 are whitened jointly, so they must be removed together."""
+        Rows of order 0 (the segment means) are whitened jointly, so they must be removed together."""
         rows = self.rows & ~taken
         basis, size, _ = np.linalg.svd(self.basis * rows[:, None], full_matrices=False)
         basis = basis[:, size > _NOTHING]
@@ -491,7 +499,7 @@ class Left:
 
 def eigen(left: Left, design: Array | Rows) -> Eigen:
     """Returns the eigenvalues and the squared scores of a design. `design`: columns (M, P), or a mask (M,) of rows. A mask
-    represents a design with one column for each selected row. Each column is zero in all other rows. Both results are empty if the
+    represents a design with one column for each selected row; this column is zero in all other rows. Both results are empty if the
     design is zero in all remaining rows."""
     if design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
