@@ -6,9 +6,9 @@ fitted again with the other segments only. The difference d between the predicti
 exactly. The gap g is not known exactly, because the data contain noise. The size of the gap is |g| without the effect, and |g − d|
 with it. The result is an average over the following two cases, weighted by their probabilities in the diagnosis.
 
-- An effect or pair of the catalogue is the whole cause. Then g is the signature of this cause, that is, its change of the outputs.
-  The amplitudes of the signature are estimated from all segments. The errors of the amplitudes have the covariance that follows
-  from the noise.
+- An effect or a pair of effects from the catalogue (the collection of known effects) is the whole cause. Then g is the signature of
+  this cause, that is, its change of the outputs. The amplitudes of the signature are estimated from all segments. The errors of the
+  amplitudes have the covariance that follows from the noise.
 - Something else acts, additionally or alone. Let r = g + noise be the residual of the nominal simulation in the held-out segments.
   It is whitened: after this transformation, its errors are independent and have unit variance. These errors include the uncertainty
   of the fitted nominal parameters. The component of g along d is then known with a standard deviation of 1. The size of the other
@@ -60,8 +60,8 @@ WALKED = (
 )
 SHAPES = 6  # number of shapes of an effect besides the best one
 UNLIKELY = 8.0
-"""A shape is omitted if its log probability is lower than the log probability of the most probable shape by more than this value
-[nats]. Together, n such shapes have a probability of less than n·exp(−8), which is 0.7 % for the 20 shapes of a refined grid."""
+"""If the log probability of a shape is lower than that of the most probable shape by more than this value [nats], the shape is
+omitted. Together, n such shapes have a probability of less than n·exp(−8), which is 0.7 % for the 20 shapes of a refined grid."""
 WORTH = 4.0  # log BF in a fold at and above which an effect is selected
 
 

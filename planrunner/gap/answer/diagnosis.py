@@ -2,10 +2,11 @@
 difference (the gap), and how much this effect reduces the gap.
 
 The diagnosis has five steps. First, spectra and noise are computed, and the part of the data that the nominal parameters absorb is
-projected out (`weighing`). Second, the evidence is evaluated for every installed effect (`candidates`), for pairs of effects, and
-for patterns outside the catalogue (`posterior`, `open_set`). Third, a verdict is derived; if the plan cannot separate several
-effects, the verdict names all of them as a class (`verdict`). Fourth, the gap is located (`where`). Finally, the closure of the gap
-is computed on held-out segments (`closure`).
+projected out (`weighing`). The nominal parameters, such as bias and scale factors, are the parameters that the simulation fits.
+Second, the evidence is evaluated for every installed effect (`candidates`), for pairs of effects, and for patterns outside the
+catalogue (`posterior`, `open_set`). Third, a verdict is derived; if the plan cannot separate several effects, the verdict names all
+of them as a class (`verdict`). Fourth, the gap is located (`where`). Finally, the closure of the gap is computed on held-out
+segments (`closure`).
 """
 
 from __future__ import annotations

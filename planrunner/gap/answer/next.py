@@ -53,7 +53,8 @@ _CHANGED = 1.0  # K
 
 @dataclass(frozen=True)
 class Foreseen:
-    """Contains the expected information from a segment with K channels about P columns, in units of the noise.
+    """Contains the information that a segment with K channels is expected to give about the amplitudes of P columns, in units of
+    the noise.
 
     `within`: array of shape (P, P), information per second from changes within the segment. `means`: array of shape (K, P), mean of
     each column over the segment. `noise`: array of shape (K,), white noise density of each channel. `flicker`: array of shape (K,),

@@ -319,9 +319,9 @@ def _as_named(
     """Divides the probability of effects among the sets as in `named`, and adds the hypotheses with something else; returns log
     weights.
 
-    `more`: log weights of sets of effects in combination with something else. Each of these weights is divided among the probable
-    sets of the same size, in proportion to `named`, if its own set is one of them. Sets with a random walk (`walk`) are excluded,
-    because a random walk explains the same part as something else.
+    `more`: log weights of sets of effects in combination with something else. If the set of such a weight is one of the probable
+    sets, the weight is divided among the probable sets of the same size, in proportion to `named`. Sets with a random walk (`walk`)
+    are excluded, because a random walk explains the same part as something else.
     """
     whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
     made = {name: value for name, value in logs.items() if name in PRIORS}
@@ -366,8 +366,8 @@ def _acting(log_evidence: Mapping[str, float]) -> int:
 
 
 def log_prior(name: str, acting: int) -> float:
-    """Returns the log prior of a hypothesis. All sets with the same number of effects have the same prior, if the plan can excite
-    their effects."""
+    """Returns the log prior of a hypothesis. All sets with the same number of effects that the plan can excite have the same
+    prior."""
     if name in PRIORS:
         return float(np.log(PRIORS[name]))
     parts = name.split("+")

@@ -53,7 +53,7 @@ class Rival:
 
 
 def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
-    """Returns the expected log evidence for rival i against rival j after measurements, if i is true, shape (…, R, R).
+    """Returns the log evidence for rival i against rival j that measurements are expected to give if i is true, shape (…, R, R).
     `information`: information of the measurements, shape (…, P, P)."""
     size = information.shape[-1]
     covariance = [np.linalg.inv(rival.precision) for rival in rivals]

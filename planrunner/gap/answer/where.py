@@ -40,8 +40,8 @@ REPLICATES = 400
 SEED = 20
 _LEVELS = 4  # bins of temperature and time
 _NEAR = math.sqrt(2 - 2 * 0.999)
-"""An axis is described by the word for a direction if the difference between their unit vectors is shorter than this length. The
-cosine of the angle between them is then above 0.999."""
+"""If the difference between the unit vectors of an axis and of a direction is shorter than this length, the axis is described by
+the word for the direction. The cosine of the angle between the two is then above 0.999."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,7 +203,7 @@ def _words(attitude: Array) -> str:
 
 
 SEEN = 3.0
-"""A channel shows the pattern if the log Bayes factor of the pattern in this channel is above this value."""
+"""If the log Bayes factor of a pattern in a channel is above this value, the channel shows the pattern."""
 
 
 @dataclass(frozen=True)

@@ -120,8 +120,8 @@ class NoiseWithin:
         half of the sampling rate, Hz. `peaks`: array of shape (m, K), the rows of the attribute `peaks` for this segment.
 
         The harmonics of the motion absorb all coefficients near their frequencies. Therefore, a line of the noise at these
-        frequencies is not visible in a segment in motion, but in the spectrum at rest. If the spectrum at rest is larger, the
-        difference is added to the variance of the harmonic.
+        frequencies is not visible in a segment in motion. It is visible in the spectrum at rest. If the spectrum at rest is larger,
+        the difference is added to the variance of the harmonic.
         """
         from scipy.fft import rfft
 

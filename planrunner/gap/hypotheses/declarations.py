@@ -22,7 +22,8 @@ from planrunner.gap.evidence.recording_checks import MISFIT, STIRRED, segment_me
 from planrunner.plan.units import STANDARD_GRAVITY
 
 FITS = 0.1
-"""The matrix M describes a channel if the residual of its fit, relative to the applied input, is at most this value."""
+"""If the residual of the fit of a channel, relative to the applied input, is at most this value, the matrix M describes the
+channel."""
 NEAR = 0.2
 """A row of M is compared with a row of a signed permutation multiplied by a factor. If their distance is at most this fraction of
 the factor, the two rows agree."""
@@ -30,7 +31,8 @@ FACTOR = 0.03
 """Largest relative deviation from a known factor. This deviation is larger than usual scale-factor errors, and smaller than half
 the distance between two factors."""
 CLEARLY = 3.0
-"""The data distinguish the two senses of rotation if their root mean square misfits differ at least by this ratio."""
+"""If the root mean square misfits of the two senses of rotation differ at least by this ratio, the data distinguish the two
+senses."""
 SEEN = 0.5
 """The unit vector of an axis is projected onto the directions that the plan varies. If the projection is at least this long, the
 channel of the axis can be judged."""

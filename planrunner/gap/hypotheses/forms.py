@@ -1,6 +1,6 @@
-"""Evaluates effects in different forms. The shape of an effect is a parameter that the outputs do not depend on linearly, such as a
-time constant; a form is the effect at one value of its shape. Every effect has a grid of shapes. If the evidence has a sharp peak,
-the grid is refined. Strong effects are evaluated in a nonlinear form.
+"""Evaluates effects in different forms. The shape of an effect is a parameter, such as a time constant, on which the outputs do not
+depend linearly. A form is the effect at one value of its shape. Each effect with a shape has a grid of such values. If the evidence
+has a sharp peak, the grid is refined. Strong effects are evaluated in a nonlinear form.
 
 Some effects (a lag, a delay, a dead zone, a limit) have no amplitude: the shape alone determines the effect. If such an effect is
 weak, it is evaluated like the others, with an amplitude in addition to its shape, because the data cannot separate the two. If it

@@ -1,10 +1,10 @@
-"""Evaluates patterns outside the catalogue, which compete with the effects. Thus a diagnosis can report "something that the
-catalogue does not contain". Such a pattern is called a competitor. It is a pattern of the whitened residual, in one channel or in a
-triad. Patterns of the coefficients lie in the span of the basis that describes each segment (`evidence.spectrum`); bursts and tones
-lie outside it. Some patterns differ at random from segment to segment, or change smoothly with rate, gravity, temperature or time:
-offsets, scale-like errors, transients, and waveforms per turn or per rocking period. Further patterns are a deviation in a single
-segment, a periodic bias, bursts, and a tone that keeps its phase over the whole run. The competitors are evaluated like effects,
-individually and in combination.
+"""Evaluates patterns outside the catalogue of known effects. The patterns compete with these effects. Thus a diagnosis can report
+"something that the catalogue does not contain". Such a pattern is called a competitor. It is a pattern of the whitened residual, in
+one channel or in a triad. Patterns of the coefficients lie in the span of the basis that describes each segment
+(`evidence.spectrum`); bursts and tones lie outside it. Some patterns differ at random from segment to segment, or change smoothly
+with rate, gravity, temperature or time: offsets, scale-like errors, transients, and waveforms per turn or per rocking period.
+Further patterns are a deviation in a single segment, a periodic bias, bursts, and a tone that keeps its phase over the whole run.
+The competitors are evaluated like effects, individually and in combination.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Computes how an effect on the output of the sensor changes with the nominal parameters.
+"""Computes how an effect on the output of the sensor changes with the nominal parameters, such as bias and scale factors.
 
 A dead zone or a limit acts on the output. Its size therefore depends on the bias and the scale factors of the sensor. To first
 order in the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). Here, θ₀ is the operating point: the nominal parameters
@@ -71,9 +71,9 @@ def operating_point(
 def moving(
     weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], columns: Sequence[Column]
 ) -> Weighing:
-    """Returns a copy of `weighing` in which an effect on the output changes with the nominal parameters, to the first order. The shape
-    of the effect is then searched together with the parameters and with the amplitudes of other effects. `values`: values of the
-    parameters of each channel. `columns`: columns of the other effects, with samples."""
+    """Returns a copy of `weighing` that takes account, to the first order, of how an effect on the output changes with the nominal
+    parameters. The shape of the effect is then searched together with the parameters and with the amplitudes of other effects.
+    `values`: values of the parameters of each channel. `columns`: columns of the other effects, with samples."""
     seen = weighing.seen(values)
     change = _changes(weighing, effect, shape, seen, 1.0, _steps(weighing))
     return weighing.moving(change, values, passed_on(weighing, effect, shape, seen, columns) if columns else None)

@@ -1,5 +1,5 @@
-"""Describes patterns that effects of the catalogue do not cause. The patterns refer to the coefficients that describe each segment
-(`evidence.spectrum`). These are the possible forms of "something else". Each pattern is a design, that is, a set of columns.
+"""Describes patterns that effects of the catalogue do not cause. The patterns are the possible forms of "something else". They
+refer to the coefficients that describe each segment (`evidence.spectrum`). Each pattern is a design, that is, a set of columns.
 
 The patterns are offsets, scale-like errors, transients and waveforms per turn or per rocking period. Patterns differ from segment
 to segment, or change smoothly with rate, gravity, temperature or time.
