@@ -587,8 +587,9 @@ def _with_measured_flicker(
 
 @dataclass(frozen=True)
 class _Fit:
-    """Contains a choice that was fitted to all segments. gram (p, p) and score (p,) are sums over all channels. Rows and columns
-    have one whitened entry for each channel. `amplitudes`: the amplitudes of the choice. If the choice has an operating point
+    """Contains a choice that was fitted to all segments. `gram` (p, p), the information matrix, and `score` (p,), the score vector
+    of the amplitudes, are sums over all channels. `rows`, `columns`: for each channel, its whitened coefficients, and the whitened
+    columns (M, p) of the choice. `amplitudes`: the amplitudes of the choice. If the choice has an operating point
     (`FoldChoice.point`), `amplitudes` also contains the differences between the nominal parameters and their values at this
     point."""
 

@@ -456,8 +456,8 @@ def _instruments(weighing: Weighing) -> list[_Instrument]:
 def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
-    """Returns the rivals, extended by the instrument's own nominal parameters. Also returns the total information from all options
-    if the instrument measures during these segments too."""
+    """Returns the rivals, extended by the instrument's own nominal parameters. Also returns the total information from all segments
+    in `options`, for the case that the instrument measures during these segments too."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)

@@ -36,8 +36,8 @@ def amplitudes(
     walking: bool = False,
     ratios: Array | None = None,
 ) -> list[ParameterEstimate]:
-    """Returns the posterior means and standard deviations of the amplitudes of an effect, for the most probable size of their
-    prior.
+    """Returns the posterior means and standard deviations of the amplitudes of an effect. The size (scale) of their prior has its
+    most probable value.
 
     `columns`: the columns that belong to this effect, if it is one of a set of effects. `walking`: True if a random walk of the
     gyros acts in addition. `ratios`: array of shape (K,), variance of the residuals of each channel, divided by the variance of the

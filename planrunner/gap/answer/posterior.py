@@ -265,7 +265,8 @@ def _of_effects(
 
 
 def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
-    """Evaluates a candidate again with the noise of another `weighing`. The cost of its shape does not change."""
+    """Evaluates a candidate again with the noise of another `weighing`. The change of its log evidence that is due to averaging
+    over the shape (`Candidate.shape_cost`) is not computed again."""
     if not np.isfinite(candidate.log_bayes).any():
         return candidate
     usable = [item for item in candidate.variants if item.trace > 0]

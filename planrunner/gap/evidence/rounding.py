@@ -1,8 +1,8 @@
-"""Computes rounding errors in the means of many samples that are rounded to counts. Noise of half a count or more dithers the
-rounding, so that the rounding errors average out. With smaller noise, an error remains that depends on the position of the mean
-within a count. This error does not average out in repetitions. The scatter of rounded samples does not show how small the noise is:
-readings that alternate between two counts scatter by half a count even if the noise is very small. The number of samples at each
-count does show the size of the noise, because only sufficiently large noise reaches a third count.
+"""Computes rounding errors in the means of many samples that are rounded to counts, the steps of a digital output. Noise of half a
+count or more dithers the rounding, so that the rounding errors average out. With smaller noise, an error remains that depends on
+the position of the mean within a count. This error does not average out in repetitions. The scatter of rounded samples does not
+show how small the noise is: readings that alternate between two counts scatter by half a count even if the noise is very small. The
+number of samples at each count does show the size of the noise, because only sufficiently large noise reaches a third count.
 """
 
 from __future__ import annotations

@@ -407,8 +407,8 @@ def _besides(walking: Blocks, within: Blocks, measured: NDArray[np.bool_]) -> Bl
 
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
-    """Returns, for each channel, the coefficients of all columns in units of the columns' magnitudes, shape (M, P); zero where a
-    column does not act."""
+    """Returns, for each channel, the coefficients that each column causes if its amplitude is one `magnitude` of the column, shape
+    (M, P); zero where a column does not act."""
     found: dict[tuple[int, tuple[int, ...]], _Shared] = {}
     for index, column in enumerate(columns):
         for channel, part in column.parts.items():

@@ -58,8 +58,8 @@ class Weighed:
 
     `trace`: energy of the columns after projection, at the first setting of the noise. `kept`: ratio of this energy to the energy
     before projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before
-    whitening and projection, in magnitudes. `held`: True if the variant has a single amplitude that physics fixes at 1, so that
-    only the shape is free.
+    whitening and projection, each for an amplitude of one magnitude. `held`: True if the variant has a single amplitude that
+    physics fixes at 1, so that only the shape is free.
     """
 
     variant: Variant

@@ -248,9 +248,9 @@ def whole_forms(
     weighing: Weighing, effect: Shaped, near: Weighed | None = None, columns: Sequence[Column] = ()
 ) -> list[tuple[Weighed, float]]:
     """Returns the forms around the most probable shape, in equal steps of the logarithm of the shape, and their probabilities. If
-    the data require the opposite sign, no form explains the data better than no effect, and the result is empty. `near`: a form from
-    which the search starts, None if no form is known. `columns`: columns of other effects with samples, whose amplitudes are not known
-    exactly."""
+    the data require the opposite sign, no form explains the data better than no effect, and the result is empty. `near`: a form
+    from which the search starts, None if no form is known. `columns`: columns, with samples, of other effects whose amplitudes are
+    not known exactly."""
     found = _search(weighing.without_walks(), effect, near, columns)
     around = found.shape * np.exp(found.sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
     variants = [effect.at(found.seen, float(value)) for value in around]
@@ -363,7 +363,7 @@ def on_others(
     """Finds the shape of an effect on the output, which acts on the nominal output and on other effects. Returns None if no shape
     explains the data.
 
-    `form`: a form of the effect from which the search starts. `columns`: P columns with samples, of the other effects.
+    `form`: a form of the effect from which the search starts. `columns`: P columns of the other effects, with samples.
     `amplitudes`: array of shape (P,), their amplitudes in magnitudes."""
     beneath = weighing.with_known(columns, amplitudes)
     forms = whole_forms(beneath, effect, form, columns)

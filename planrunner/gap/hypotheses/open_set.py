@@ -259,8 +259,8 @@ class _Scan:
     each of these samples combines. `samples`: array of shape (n,), the samples in SI units, each divided by the level of the noise
     of its segment. `slot`: array of shape (n,), position of each sample on a time grid of `length` steps of `step` seconds.
     `level`: array of shape (n,), level of the noise, as a standard deviation relative to `white`. `coloured`: True if the spectrum
-    of the noise is not white. The scan has no samples if the run is too long or too short, or if the counts of the channel are
-    coarse.
+    of the noise is not white. If the run is too long or too short, or if the counts (digital steps) of the channel are coarse, the
+    scan has no samples.
     """
 
     chosen: NDArray[np.int64]

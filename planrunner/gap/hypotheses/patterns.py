@@ -61,8 +61,8 @@ class Pattern:
 
 
 PatternDesign = tuple[Pattern, list[Array | Rows]]
-"""A pattern and its design. For each channel, the design contains columns (M, P) that are not whitened, or rows (M,), each of which
-counts as a separate column."""
+"""A pattern and its design. For each channel, the design contains columns (M, P) that are not whitened, or a mask (M,) of rows,
+each of which counts as a separate column."""
 HARMONICS = {1: Sort.ONCE_PER_TURN, 2: Sort.TWICE_PER_TURN, 3: Sort.THRICE_PER_TURN}
 WHOLE = {
     Sort.MEANS: Pattern("offset per segment", Sort.MEANS, Factor.TIME),
