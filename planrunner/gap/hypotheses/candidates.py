@@ -51,10 +51,10 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 @dataclass(frozen=True)
 class Weighed:
     """Contains a variant of an effect (the effect at one value of its shape) after whitening and evaluation. Its columns no longer
-    contain samples. `gram` (G, p, p), the inner products of the whitened columns with each other, and `score` (G, p), their inner
-    products with the whitened data, are computed at each of the G settings of the noise. A setting of the noise is a combination of
-    levels of flicker and random walk. Projection removes the part of a column that the nominal parameters absorb. Amplitudes are in
-    magnitudes: the amplitude of each column is divided by its prior scale `Column.magnitude`.
+    contain samples. `gram` (G, p, p), the inner products of the whitened, projected columns with each other, and `score` (G, p),
+    their inner products with the whitened data, are computed at each of the G settings of the noise. A setting of the noise is a
+    combination of levels of flicker and random walk. Projection removes the part of a column that the nominal parameters absorb.
+    Amplitudes are in magnitudes: the amplitude of each column is divided by its prior scale `Column.magnitude`.
 
     `trace`: energy of the columns after projection, at the first setting of the noise. `kept`: ratio of this energy to the energy
     before projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before
