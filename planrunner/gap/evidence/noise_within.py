@@ -297,9 +297,8 @@ def _leakage(turns: Array, count: float) -> Array:
     low, high, centre = turns
     power = np.sin(centre / 2) ** 2
     away = power[None, :] - power[:, None]
-    np.fill_diagonal(away, 1.0)
-    found = (high - low) / np.pi * power * np.cos(centre / 2)[:, None] ** 2 / (count * away**2)
-    np.fill_diagonal(found, 0.0)
+    shown = (high - low) / np.pi * power * np.cos(centre / 2)[:, None] ** 2
+    found = np.divide(shown, count * away**2, out=np.zeros_like(shown), where=away != 0)  # 0 for the band itself
     return np.asarray(np.minimum(found, 1.0))
 
 
