@@ -55,9 +55,8 @@ KINDS = ("gyro", "accel")
 FLICKER_LEVELS = (0.0, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)  # relative to the declared level
 EXCESS = 0.01  # p-value below which the residuals of a group contain more than noise
 SMALLEST = 1e-4  # of the measured variance of the noise, relative to its model
-WALKED = (
-    0.1  # share of the residuals within segments that must remain without a random walk for their level to be known
-)
+WALKED = 0.1
+"""Smallest share of the residuals within segments that must remain without a random walk, so that their level shows the noise."""
 SHAPES = 6  # number of shapes of an effect besides the best one
 UNLIKELY = 8.0
 """If the log probability of a shape is lower than that of the most probable shape by more than this value [nats], the shape is

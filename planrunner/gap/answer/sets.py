@@ -28,7 +28,7 @@ from planrunner.gap.evidence.bayes_factors import (
     set_log_evidence,
 )
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.forms import BENT, OnOthers, candidates_of, columns_of, on_others
+from planrunner.gap.hypotheses.forms import BENT, WORSE, OnOthers, candidates_of, columns_of, on_others
 from planrunner.gap.hypotheses.operating_point import on_output
 
 FIRST = 6  # number of effects from which pairs are formed: the likeliest
@@ -274,7 +274,7 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
             form, least = replace(form, held=again.best.held), one.evidence
             changed = Member(again, form, again.shape_cost)
         elif isinstance(effect, Curved) and float(member.form.log_bayes.max()) > BENT:
-            (form,), least = weighing.weigh(_around(weighing, one, member, effect)), one.evidence - WORTHWHILE
+            (form,), least = weighing.weigh(_around(weighing, one, member, effect)), one.evidence - WORSE
             changed = replace(member, form=form)
         else:
             continue
@@ -304,7 +304,7 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
     if effect is None or sum(acts is not None for _, acts in acting) > 1:
         return one
     best, before = one, np.full(len(one.weighed.score[0]) - 1, np.inf)
-    least = one.evidence - WORTHWHILE
+    least = one.evidence - WORSE
     for _ in range(_ROUNDS):
         own = one.columns(effect.id)
         amplitudes, covariance = weighing.amplitudes(one.weighed, walking=False)

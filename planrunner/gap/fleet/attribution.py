@@ -13,7 +13,7 @@ The hypotheses are all subsets of the sources, including the empty set. For give
     log p(y | σ) = −½ (n·log 2π + log det V + yᵀ V⁻¹ y),    V = S + Z G Zᵀ
 
 Z assigns the runs to their groups, and the diagonal matrix G contains the variances σ² of the parts. The diagonal matrix S contains
-the variances s². If every run is a group of its own for a source, the σ² of this source is added to S instead. With M = I + G^½
+the variances s². If each run forms its own group for a source, the σ² of this source is added to S instead. With M = I + G^½
 ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion lemma). Each
 σ has a log-uniform prior. Each σ is integrated out on a grid, which is finer where the evidence is large.
 
@@ -313,7 +313,7 @@ class _Model:
         """Returns the weights (Q,) of the Q points of the grid whose weight is noticeable. For each component, it also returns the
         means (Q, m) and variances (Q, m) of the component's m parts at these points. A part is the contribution of one group of
         runs, such as all runs of one device. The last two results are the joint mean (Q, M) and covariance (Q, M, M) of the parts
-        of all components, except a component in which every run is a group of its own."""
+        of all components, except a component in which each run forms its own group."""
         points, weights, _ = self._grid
         kept = weights > _CONSIDERED * weights.max()
         points, weights = points[kept], weights[kept] / weights[kept].sum()

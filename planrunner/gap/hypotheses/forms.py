@@ -44,7 +44,7 @@ from planrunner.gap.hypotheses.operating_point import (
 _REFINE = 8.0  # log BF at and above which a shape is refined
 BENT = 30.0  # log BF at and above which an effect may distort the fit of the nominal parameters
 _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justifies another one
-_WORSE = float(np.log(100.0))  # a more exact form is rejected if it is less likely by more than this
+WORSE = float(np.log(100.0))  # a more exact form is rejected if it is less likely by more than this
 _STILL = 0.1  # standard deviations of the noise by which the sum of the secants may still change
 
 
@@ -109,7 +109,7 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
     linear approximation: at given amplitudes, the sum of the columns, each multiplied by its amplitude, is exactly the effect. The
     secants are computed again until the amplitudes no longer change. They have as many parameters as the linear approximation. They
     are therefore used even if they explain the data no better, and rejected only if they explain the data clearly worse."""
-    least = float(log_bayes.max()) - _WORSE
+    least = float(log_bayes.max()) - WORSE
     for _ in range(_SETTLING):
         (best,) = usable
         size = np.array([column.magnitude for column in best.variant.columns])

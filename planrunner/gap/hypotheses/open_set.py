@@ -123,8 +123,7 @@ def unknown(kinds: Kinds) -> Array:
 
 def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
     """Returns the weights of all channels at one setting of the noise."""
-    at = dict(zip(("gyro", "accel"), divmod(g, weighing.shape[1]), strict=True))
-    return [each[at[channel.kind]] for each, channel in zip(weighing.weights, weighing.observed.channels, strict=True)]
+    return [weighing.weights_at(g, channel) for channel in range(len(weighing.weights))]
 
 
 def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Array]) -> float:
