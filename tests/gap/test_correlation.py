@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence.correlation import Blocks, Correlation
+from planrunner.gap.evidence.covariance import Blocks, Correlation
 from planrunner.gap.evidence.noise_within import _leakage
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import PLAIN, competitors

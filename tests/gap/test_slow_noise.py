@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planrunner.gap.evidence import slow_noise
+from planrunner.gap.evidence.covariance import WalkAcross, flicker, ornstein_uhlenbeck, random_walk
 from planrunner.gap.hypotheses.candidates import Weighing
 from tests.gap.turntable import record
 
@@ -24,13 +24,13 @@ def _on_a_grid(kernel: np.ndarray, times: np.ndarray) -> np.ndarray:
 def test_ornstein_uhlenbeck_is_the_mean_of_its_kernel(tau: float) -> None:
     times = np.arange(0, 34, 0.02) + 0.01
     kernel = np.exp(-np.abs(times[:, None] - times[None, :]) / tau)
-    assert slow_noise.ornstein_uhlenbeck(STARTS, ENDS, tau) == pytest.approx(_on_a_grid(kernel, times), rel=2e-3)
+    assert ornstein_uhlenbeck(STARTS, ENDS, tau) == pytest.approx(_on_a_grid(kernel, times), rel=2e-3)
 
 
 def test_random_walk_is_the_mean_of_its_kernel() -> None:
     times = np.arange(0, 34, 0.02) + 0.01
     kernel = np.minimum(times[:, None], times[None, :])
-    assert slow_noise.random_walk(STARTS, ENDS) == pytest.approx(_on_a_grid(kernel, times), rel=2e-3)
+    assert random_walk(STARTS, ENDS) == pytest.approx(_on_a_grid(kernel, times), rel=2e-3)
 
 
 def test_ornstein_uhlenbeck_against_a_simulated_process() -> None:
@@ -42,13 +42,13 @@ def test_ornstein_uhlenbeck_against_a_simulated_process() -> None:
     for k in range(1, len(times)):
         x[k] = decay * x[k - 1] + np.sqrt(1 - decay**2) * draw.standard_normal(20_000)
     means = np.array([x[(times >= a) & (times < b)].mean(0) for a, b in zip(STARTS, ENDS, strict=True)])
-    assert slow_noise.ornstein_uhlenbeck(STARTS, ENDS, tau) == pytest.approx(np.cov(means), abs=0.02)
+    assert ornstein_uhlenbeck(STARTS, ENDS, tau) == pytest.approx(np.cov(means), abs=0.02)
 
 
 def test_flicker_has_its_floor() -> None:
     """With B = 1, the Allan deviation of adjacent means, √(½·var of their difference), is 0.664 for 10 s to 1000 s, to a few per cent."""
     for seconds in (10.0, 100.0, 1000.0):
-        covariance = slow_noise.flicker(np.array([0.0, seconds]), np.array([seconds, 2 * seconds]))
+        covariance = flicker(np.array([0.0, seconds]), np.array([seconds, 2 * seconds]))
         assert np.sqrt(0.5 * np.array([1, -1]) @ covariance @ np.array([1, -1])) == pytest.approx(0.664, rel=0.06)
 
 
@@ -58,7 +58,7 @@ def test_what_a_walk_does_within_a_segment_continues_in_later_means() -> None:
     size, own, afterwards = [3, 1, 4, 2], draw.standard_normal(10), draw.standard_normal(10)
     segment = np.repeat(np.arange(4), size)
     dense = np.where(segment == np.arange(4)[:, None], own, np.where(segment < np.arange(4)[:, None], afterwards, 0.0))
-    found = slow_noise.WalkAcross(own, afterwards, np.array([0, 3, 4, 8]))
+    found = WalkAcross(own, afterwards, np.array([0, 3, 4, 8]))
     columns = draw.standard_normal((10, 5))
     assert found.dense() == pytest.approx(dense)
     assert found.product(columns) == pytest.approx(dense @ columns)

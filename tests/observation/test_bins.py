@@ -13,7 +13,7 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.archive.statistics import statistics_of
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
-from planrunner.gap.evidence.slow_noise import lasting
+from planrunner.gap.evidence.covariance import lasting
 from planrunner.gap.hypotheses.candidates import FULL, Weighing, nominal_columns
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel

@@ -37,7 +37,7 @@ from planrunner.gap.answer.rivals import (
     expected_probability,
     explanations,
 )
-from planrunner.gap.evidence import slow_noise
+from planrunner.gap.evidence.covariance import flicker
 from planrunner.gap.hypotheses.candidates import Candidate, Weighing, nominal_columns
 from planrunner.physics.sampled_motion import motion_at
 from planrunner.plan.schedule import Rest, Rock, Segment, Spin
@@ -75,7 +75,7 @@ class Foreseen:
     def information(self, seconds: float) -> Array:
         """Returns the information for a dwell of the given length [s], shape (P, P). Slow noise limits the information that the
         mean of the segment gives."""
-        slow = slow_noise.flicker(np.zeros(1), np.full(1, seconds))[0, 0]
+        slow = flicker(np.zeros(1), np.full(1, seconds))[0, 0]
         variance = self.noise**2 / seconds + self.flicker**2 * slow
         products: Array = seconds * self.within + (self.means / variance[:, None]).T @ self.means
         return products

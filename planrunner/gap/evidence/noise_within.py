@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence.correlation import Blocks
+from planrunner.gap.evidence.covariance import Blocks
 from planrunner.gap.evidence.spectrum import UPPER, SpectralBasis, Spectrum
 from planrunner.plan.schedule import Rest
 

@@ -30,9 +30,8 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Column
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence import slow_noise
 from planrunner.gap.evidence.bayes_factors import RANGE, STRONGEST, WEAKEST
-from planrunner.gap.evidence.correlation import Blocks, Correlation
+from planrunner.gap.evidence.covariance import Blocks, Correlation, SlowNoise, WalkAcross, flicker_spectrum
 from planrunner.gap.evidence.noise_within import NoiseWithin
 from planrunner.gap.evidence.spectrum import Spectrum
 
@@ -65,7 +64,7 @@ class Setting:
     alike: bool = True
 
 
-def settings_of(observed: Observed, slow: slow_noise.SlowNoise, means: Array, kind: str) -> tuple[Setting, ...]:
+def settings_of(observed: Observed, slow: SlowNoise, means: Array, kind: str) -> tuple[Setting, ...]:
     """Lists the settings of the noise of a triad. Random walks are included only for gyros. If flicker is declared, different
     factors of its level are included. `means`: array of shape (S, K) in SI², variances of the segment means without slow noise."""
     members = observed.of_kind(kind)
@@ -88,7 +87,7 @@ def settings_of(observed: Observed, slow: slow_noise.SlowNoise, means: Array, ki
     )
 
 
-def _walk_energy(observed: Observed, slow: slow_noise.SlowNoise, channel: int, means: Array) -> float:
+def _walk_energy(observed: Observed, slow: SlowNoise, channel: int, means: Array) -> float:
     """Returns the expected energy of a random walk with unit density in the segment means of one channel, after a constant has been
     removed. The energy is in units of the noise of the means. This noise has the variances `means` (S,) without slow noise; the
     declared flicker is added to them."""
@@ -148,7 +147,7 @@ class ChannelWeights:
     def __init__(
         self,
         observed: Observed,
-        slow: slow_noise.SlowNoise,
+        slow: SlowNoise,
         spectrum: Spectrum,
         channel: int,
         white: float,
@@ -171,7 +170,7 @@ class ChannelWeights:
         if level > 0:
             covariance += level**2 * slow.flicker
             tail += level**2 * observed.sample_rate / 2 * _beyond_measured(spectrum, noise.lowest, measured)
-        across: slow_noise.WalkAcross | None = None
+        across: WalkAcross | None = None
         self.walk_within: Array = np.zeros(len(spectrum.segment))
         if walk > 0:
             walking = slow.walk_within.times(walk**2)
@@ -188,7 +187,7 @@ class ChannelWeights:
         self._root = np.sqrt(counts)
         self.scale = 1 / np.sqrt(within.variances)
         self._across = across
-        self._predicted: slow_noise.WalkAcross | None = None
+        self._predicted: WalkAcross | None = None
         self._inverse: Array | None = None
         if level == 0 and walk == 0:
             self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
@@ -394,8 +393,8 @@ def _beyond_measured(spectrum: Spectrum, lowest: float, measured: NDArray[np.boo
     measured."""
     out = np.zeros(len(spectrum.frequency))
     within = spectrum.frequency > 0
-    out[within] = slow_noise.flicker_spectrum(spectrum.frequency[within])
-    return np.where(measured, np.maximum(out - slow_noise.flicker_spectrum(np.array([lowest])), 0.0), out)
+    out[within] = flicker_spectrum(spectrum.frequency[within])
+    return np.where(measured, np.maximum(out - flicker_spectrum(np.array([lowest])), 0.0), out)
 
 
 def _besides(walking: Blocks, within: Blocks, measured: NDArray[np.bool_]) -> Blocks:

@@ -23,11 +23,11 @@ from planrunner.gap.evidence.bayes_factors import (
     held_log_bayes_factor,
     log_bayes_factors,
 )
+from planrunner.gap.evidence.covariance import SlowNoise
 from planrunner.gap.evidence.noise_levels import counts
 from planrunner.gap.evidence.noise_within import noise_within
 from planrunner.gap.evidence.outliers import outliers
 from planrunner.gap.evidence.rounding import is_coarse, undithered
-from planrunner.gap.evidence.slow_noise import SlowNoise
 from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.evidence.weighing import (
     ChannelWeights,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean_exp
-from planrunner.gap.evidence.slow_noise import lasting
+from planrunner.gap.evidence.covariance import lasting
 from planrunner.gap.evidence.weighing import Eigen, Left
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
