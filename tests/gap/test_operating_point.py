@@ -13,8 +13,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import closure, measured_noise, predictions, whole_choices
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.forms import _evidence, whole_forms
-from planrunner.gap.hypotheses.operating_point import operating_point, settled
+from planrunner.gap.hypotheses.forms import _evidence, operating_point, settled, whole_forms
 from tests.gap.test_closure import holds
 from tests.gap.turntable import DEG, record
 

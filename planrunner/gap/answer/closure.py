@@ -38,8 +38,7 @@ from planrunner.error_model.effects.interface import Effect
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
 from planrunner.gap.evidence.weighing import DEPENDENT, ChannelWeights
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.forms import OnOthers
-from planrunner.gap.hypotheses.operating_point import OperatingPoint, on_output, operating_point
+from planrunner.gap.hypotheses.forms import OnOthers, OperatingPoint, on_output, operating_point
 
 FOLDS = 4
 FEWEST = 6  # segments; with fewer, three quarters of them contain too little information

@@ -28,8 +28,15 @@ from planrunner.gap.evidence.bayes_factors import (
     set_log_evidence,
 )
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.forms import BENT, WORSE, OnOthers, candidates_of, columns_of, on_others
-from planrunner.gap.hypotheses.operating_point import on_output
+from planrunner.gap.hypotheses.forms import (
+    BENT,
+    WORSE,
+    OnOthers,
+    candidates_of,
+    columns_of,
+    on_others,
+    on_output,
+)
 
 FIRST = 6  # number of effects from which pairs are formed: the likeliest
 WEIGHED = 10  # number of pairs evaluated in full, selected by a quick evaluation
