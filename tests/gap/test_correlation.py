@@ -10,9 +10,9 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.covariance import Blocks, Correlation
 from planrunner.gap.evidence.noise_within import _leakage
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import PLAIN, competitors
+from planrunner.gap.hypotheses.open_set import PERIODIC, competitors
+from planrunner.gap.hypotheses.outside import PLAIN
 from planrunner.gap.hypotheses.patterns import WHOLE, Sort
-from planrunner.gap.hypotheses.repeating import PERIODIC
 from tests.gap.test_noise_as_it_is import noisy
 from tests.gap.turntable import Array
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
-from planrunner.gap.hypotheses.bursts import BURSTS, _of_short_windows, _summed
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import PLAIN, TONE, competitors, outside
+from planrunner.gap.hypotheses.open_set import competitors
+from planrunner.gap.hypotheses.outside import BURSTS, PLAIN, TONE, _of_short_windows, _summed, outside
 from planrunner.gap.hypotheses.patterns import WHOLE, Sort
 from planrunner.plan.schedule import Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Array, Fault, G, record

@@ -10,11 +10,10 @@ import pytest
 from planrunner.error_model.effects.gyro import GyroScaleAsymmetry
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
-from planrunner.gap.hypotheses.bursts import BURSTS
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import Kinds, competitors, something_else
+from planrunner.gap.hypotheses.open_set import PERIODIC, Kinds, competitors, something_else
+from planrunner.gap.hypotheses.outside import BURSTS
 from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Sort
-from planrunner.gap.hypotheses.repeating import PERIODIC
 from planrunner.plan.schedule import Spin
 from tests.gap.turntable import DEG, GYRO_WHITE, RATE, record
 

@@ -28,7 +28,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import PLAIN, TONE, Line, Outside, outside, scopes_of
+from planrunner.gap.hypotheses.outside import PLAIN, TONE, Line, Outside, outside, scopes_of
 from planrunner.plan.schedule import Rest, Spin
 
 _RUNS = 20  # runs of a segment from which r is known
@@ -136,7 +136,7 @@ def repeated_parameters(observed: Observed, effect: str, found: Repeated) -> lis
 
 def found_apart(weighing: Weighing, effects: Sequence[Effect], repeats: Repeated | None = None) -> Apart:
     """Finds the effects that appear in the samples of the recording but not in its coefficients. A line counts as an effect only if
-    it has its own cause and is not a part of the noise (`open_set`)."""
+    it has its own cause and is not a part of the noise (`hypotheses.outside`)."""
     seen, observed = outside(weighing), weighing.observed
     log_bayes, parameters, lines = {}, {}, list[Line]()
     removed = np.zeros_like(observed.values)

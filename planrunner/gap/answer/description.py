@@ -13,7 +13,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.documents import JsonObject
 from planrunner.gap.answer.verdict import matrix
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.open_set import Line
+from planrunner.gap.hypotheses.outside import Line
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,7 +29,8 @@ from planrunner.gap.answer.remainder import dispersions
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
 from planrunner.gap.evidence.noise_levels import Level, log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.open_set import Kinds, Line, competitors, something_else, unknown
+from planrunner.gap.hypotheses.open_set import Kinds, competitors, something_else, unknown
+from planrunner.gap.hypotheses.outside import Line
 from planrunner.gap.hypotheses.patterns import Pattern
 
 BESIDE = 0.001  # probability of a tone or bursts beside an effect, from an independent cause

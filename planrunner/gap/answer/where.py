@@ -32,7 +32,7 @@ from planrunner.gap.evidence.bayes_factors import log_mean_exp
 from planrunner.gap.evidence.noise_levels import excess_by_channel
 from planrunner.gap.evidence.spectrum import RESPONSE
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import TONE
+from planrunner.gap.hypotheses.outside import TONE
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort, sorts
 from planrunner.plan.directions import word_of
 

@@ -1,10 +1,10 @@
 """Evaluates patterns outside the catalogue of known effects. The patterns compete with these effects. Thus a diagnosis can report
 "something that the catalogue does not contain". Such a pattern is called a competitor. It is a pattern of the whitened residual, in
 one channel or in a triad. Patterns of the coefficients lie in the span of the basis that describes each segment
-(`evidence.spectrum`); bursts and tones lie outside it. Some patterns differ at random from segment to segment, or change smoothly
-with rate, gravity, temperature or time: offsets, scale-like errors, transients, and waveforms per turn or per rocking period.
-Further patterns are a deviation in a single segment, a periodic bias, bursts, and a tone that keeps its phase over the whole run.
-The competitors are evaluated like effects, individually and in combination.
+(`evidence.spectrum`); bursts and tones lie outside it (`outside`). Some patterns of the coefficients differ at random from segment
+to segment, or change smoothly with rate, gravity, temperature or time: offsets, scale-like errors, transients, and waveforms per
+turn or per rocking period (`patterns`). Further patterns of the coefficients are a deviation in a single segment, and a bias that
+repeats with an unknown period. The competitors are evaluated like effects, individually and in combination.
 """
 
 from __future__ import annotations
@@ -16,39 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
-from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, averaged, from_eigen, log_mean_exp
-from planrunner.gap.evidence.noise_levels import HOLDS
+from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean_exp
+from planrunner.gap.evidence.covariance import lasting
 from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen
-from planrunner.gap.hypotheses.bursts import BURSTS, bursts
 from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.outside import PLAIN, Line, Outside, outside, scopes_of
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Rows, Sort, designs, factors, sizes, sorts
-from planrunner.gap.hypotheses.repeating import PERIODIC, Repeating
-from planrunner.plan.schedule import Rest, Spin
 
-PLAIN = 8.0  # nats of one sort at and above which the others are evaluated on the remainder
+PERIODIC = Pattern("offset periodic in time", Sort.SEVERAL, Factor.TIME)
 ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
-TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
-LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
-BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
-MATERIAL = float(np.expm1(2 * HOLDS))
-"""If the power of a tone, divided by the variance of the noise, is at least this value, the tone is not a part of correctly
-declared noise."""
-_TUNINGS = 4  # corrections of the frequency of a fitted tone
-_NEAR = 8  # spacings of a periodogram about its highest frequency, between which finer values are tried
-_BLOCKS = 1024  # of time, over which shifted samples are summed
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """Describes a tone that keeps its phase over the whole run.
-
-    `frequency`: frequency of the tone, Hz. `amplitude`: in the unit of the channel. `evidence`: log Bayes factor of the tone.
-    """
-
-    channel: str
-    frequency: float
-    amplitude: float
-    evidence: float
+WAVEFORM = 4  # harmonics of a smooth one
+EDGED = 16  # harmonics of a waveform with edges
+MOST = 400  # periods of a bias that are tried at most
+CYCLES = 2  # of a segment, at the shortest period
+FINER = 8  # by which the grid about a likely period is finer
+PEAKS = 3  # likely periods of a scope
+NOTABLE = 4.0  # nats of the best period at and above which edges are searched for
+NODES = 24  # of a segment, at which waves are taken
 
 
 @dataclass(frozen=True)
@@ -159,12 +143,6 @@ def _maybe(log_bayes: float) -> float:
     return float(np.logaddexp(log_bayes, 0.0) - np.log(2.0))
 
 
-def scopes_of(weighing: Weighing) -> list[list[int]]:
-    """Returns the scopes of patterns, as lists of channel indices: every single channel, then the triads."""
-    triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
-    return [[index] for index in range(len(weighing.observed.channels))] + triads
-
-
 class _Patterns:
     """Evaluates all patterns of the coefficients. Caches the results, because several settings of the noise use the same weights
     for a triad."""
@@ -212,102 +190,6 @@ def _by_scope(spectra: Sequence[Eigen], scopes: Sequence[Sequence[int]]) -> list
     return [float(value) for value in found]
 
 
-@dataclass(frozen=True)
-class Outside:
-    """Contains the evidence for the patterns outside the basis of the coefficients.
-
-    `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
-    `causes`: those of these tones that count as separate causes.
-    """
-
-    log_bayes: dict[Pattern, Array]
-    lines: tuple[Line, ...]
-    causes: tuple[Line, ...]
-
-
-def outside(weighing: Weighing) -> Outside:
-    """Evaluates the patterns outside the basis of the coefficients.
-
-    Real noise often contains lines (supply, dither, resonances). A line counts as a separate cause only if it is a single tone with
-    a power of at least `MATERIAL`. Other lines belong to the noise and are only reported.
-    """
-    scopes, scans = scopes_of(weighing), [_scan(weighing, index) for index in range(len(weighing.observed.channels))]
-    periodograms = [_Periodogram.of(scan, scan.samples) for scan in scans]
-    tones = np.array([_tone([periodograms[index].power for index in scope]) for scope in scopes])
-    lines, causes = [], dict[int, Line]()
-    for index, (scan, periodogram, evidence) in enumerate(zip(scans, periodograms, tones, strict=False)):
-        if evidence > PLAIN:
-            top = int(np.argmax(periodogram.power))
-            amplitude, channel = float(periodogram.amplitude[top]), weighing.observed.channels[index]
-            frequency = float(periodogram.frequency[top])
-            rest, frequency = _without_tone(weighing, scan, frequency, float(periodogram.frequency[0]))
-            lines.append(Line(channel.name, frequency, amplitude / channel.factor, float(evidence)))
-            material = scan.energy(scan.samples) >= (1 + MATERIAL) * scan.energy(rest)
-            if material and _tone([_Periodogram.of(scan, rest).power]) <= PLAIN:
-                causes[index] = lines[-1]
-    tones = np.where([bool(causes.keys() & set(scope)) for scope in scopes], tones, np.minimum(tones, 0.0))
-    return Outside({TONE: tones, BURSTS: bursts(weighing, scopes)}, tuple(lines), tuple(causes.values()))
-
-
-@dataclass(frozen=True)
-class _Scan:
-    """Contains the remainder of a channel (samples minus their components in the basis) in segments at rest and turning, prepared
-    for a periodogram.
-
-    `chosen`: array of shape (n,), indices of the samples that are used. `weight`: array of shape (n,), number of raw samples that
-    each of these samples combines. `samples`: array of shape (n,), the samples in SI units, each divided by the level of the noise
-    of its segment. `slot`: array of shape (n,), position of each sample on a time grid of `length` steps of `step` seconds.
-    `level`: array of shape (n,), level of the noise, as a standard deviation relative to `white`. `coloured`: True if the spectrum
-    of the noise is not white. If the run is too long or too short, or if the counts (digital steps) of the channel are coarse, the
-    scan has no samples.
-    """
-
-    chosen: NDArray[np.int64]
-    weight: Array
-    samples: Array
-    slot: NDArray[np.int64]
-    length: int
-    step: float
-    level: Array
-    white: float
-    coloured: bool
-
-    def energy(self, samples: Array) -> float:
-        """Returns the energy of samples (n,), summed over the raw samples, SI². `samples`: samples divided by the level of the
-        noise, as in the attribute `samples`."""
-        return float(self.weight @ samples**2)
-
-
-@dataclass(frozen=True)
-class _Periodogram:
-    """Contains the periodogram of a scan.
-
-    `frequency`: array of shape (F,) in Hz. `power`: array of shape (F,), power at each frequency in units of the noise power.
-    `amplitude`: array of shape (F,) in SI units, amplitude of a sine with this power.
-    """
-
-    frequency: Array
-    power: Array
-    amplitude: Array
-
-    @classmethod
-    def of(cls, scan: _Scan, samples: Array) -> _Periodogram:
-        """Computes the periodogram of samples (n,) that have the positions of the samples of a scan."""
-        from scipy.fft import next_fast_len, rfft
-
-        if not len(samples):
-            return cls(np.empty(0), np.empty(0), np.empty(0))
-        length = next_fast_len(scan.length, real=True)
-        grid = np.bincount(scan.slot, samples * scan.weight, length)
-        total = float(scan.weight.sum())
-        frequency = np.arange(1, length // 2) / (length * scan.step)
-        seen = np.abs(rfft(grid)[1 : length // 2])
-        power = seen**2 / (scan.white**2 * total)
-        if scan.coloured:
-            power /= _local_level(power)
-        return cls(frequency, power, 2 * seen / total * float(np.sqrt(np.mean(scan.level**2))))
-
-
 def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
     """Returns the log Bayes factor of the hypothesis that the mean of one channel deviates in one segment. Neither the channel nor
     the segment is known."""
@@ -320,82 +202,94 @@ def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
     return float(log_mean_exp(np.concatenate(each), 0))
 
 
-def _scan(weighing: Weighing, index: int) -> _Scan:
-    observed, noise = weighing.observed, weighing.noise
-    moved = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
-    step = (float(observed.bin_size[moved].max()) if moved.any() else 1.0) / observed.sample_rate
-    slot = np.round((observed.time - observed.time[0]) / step).astype(np.int64)
-    chosen = np.flatnonzero(moved[observed.owner])
-    if weighing.coarse[index] or slot[-1] >= LONGEST_SCAN or slot[-1] < 16:
-        chosen = chosen[:0]
-    owner = observed.owner[chosen]
-    weight = np.ones(len(chosen)) if observed.bins is None else observed.bin_size[owner].astype(float)
-    level = np.sqrt(noise.level[owner, index])
-    return _Scan(
-        chosen,
-        weight,
-        weighing.spectrum.remainder[chosen, index] / (level * np.sqrt(weight)),
-        slot[chosen],
-        int(slot[-1]) + 1,
-        step,
-        level,
-        float(weighing.white[index]),
-        bool(noise.coloured[:, index].any()),
+class Repeating:
+    """Evaluates a bias that repeats with an unknown period: as a sine, a smooth waveform, or a waveform with edges such as a
+    saw-tooth.
+
+    The periods range from twice the duration of the run to half a segment; at most `MOST` periods are tried. A waveform is a sum of
+    harmonics whose amplitudes decrease as 1/order. A waveform with edges has many harmonics, which remain coherent over the run
+    only if the period is accurate. Such a waveform is therefore evaluated on a finer grid of periods. This grid covers only periods
+    near those that are likely for a sine or a smooth waveform.
+    """
+
+    def __init__(self, weighing: Weighing):
+        observed, spectrum = weighing.observed, weighing.spectrum
+        self.starts, self.ends = lasting(observed)
+        self.rows = np.flatnonzero(spectrum.harmonic == 0)
+        self._segment = spectrum.segment[self.rows]
+        self._order = self.rows - spectrum.means[self._segment]
+        self._root = np.sqrt(observed.counts)
+        self._run = float(self.ends[-1] - self.starts[0])
+        self.frequencies = np.arange(2, min(4 * CYCLES * len(self.starts), MOST + 2)) / (4 * self._run)
+        self._coarse = self.waves(self.frequencies, WAVEFORM)
+
+    def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> list[float]:
+        """Returns the log Bayes factor of a bias with an unknown period in the channels of each scope."""
+        parts = [self._eigen(left, self._coarse, (2, 2 * WAVEFORM)) for left in channels]
+        found = []
+        for scope in scopes:
+            sine, smooth = (_evidence([parts[index][form] for index in scope]) for form in (0, 1))
+            edged = float(log_mean_exp(smooth, 0))
+            likely = np.maximum(sine, smooth)
+            if likely.max() > NOTABLE:
+                edged = self._edged(np.argsort(-likely)[:PEAKS], [channels[index] for index in scope])
+            found.append(float(log_mean_exp(np.array([*(log_mean_exp(each, 0) for each in (sine, smooth)), edged]), 0)))
+        return found
+
+    def _edged(self, peaks: NDArray[np.int64], channels: Sequence[Left]) -> float:
+        """Returns the log Bayes factor of a waveform with edges. The waveform is evaluated only at periods near the `peaks`. In the
+        mean over the finer grid, all other periods count with a Bayes factor of zero."""
+        steps = (np.arange(FINER) - (FINER - 1) / 2) / FINER
+        near = (self.frequencies[peaks, None] + steps / (4 * self._run)).ravel()
+        waves = self.waves(near, EDGED)
+        each = _evidence([self._eigen(left, waves, (2 * EDGED,))[0] for left in channels])
+        return float(log_mean_exp(each, 0) + np.log(len(near) / (FINER * len(self.frequencies))))
+
+    def waves(self, frequencies: Array, harmonics: int) -> Array:
+        """Returns the cosines and sines of the H harmonics of each of F frequencies, as coefficients in the n `rows`, shape (n, F,
+        H, 2)."""
+        orders = np.arange(1, harmonics + 1)
+        pulses = 2 * np.pi * np.outer(frequencies, orders)
+        within = _within(np.round(self.ends - self.starts, 9), pulses.ravel(), int(self._order.max()) + 1)
+        beginning = np.exp(1j * np.outer(self.starts - self.starts[0], pulses.ravel())) * self._root[:, None]
+        raw = beginning[self._segment]
+        raw *= within[self._segment, self._order]
+        raw /= np.broadcast_to(orders, pulses.shape).ravel()
+        return raw.view(float).reshape(len(self.rows), *pulses.shape, 2)
+
+    def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
+        """Returns one item for each number n in `counts`: the eigenvalues (F, n) and the squared scores (F, n) of the first n
+        columns at each of F frequencies."""
+        periods = waves.shape[1]
+        at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
+        size = whitened.shape[1] // periods
+        taken = (left.basis[at].T @ whitened).reshape(-1, periods, size).transpose(1, 0, 2)
+        score = (whitened.T @ left.residual[at]).reshape(periods, size)
+        own = np.ascontiguousarray(whitened.reshape(-1, periods, size).transpose(1, 0, 2))
+        gram = np.swapaxes(own, 1, 2) @ own - np.swapaxes(taken, 1, 2) @ taken
+        found = []
+        for count in counts:
+            values, vectors = np.linalg.eigh(gram[:, :count, :count])
+            along = np.einsum("fji,fj->fi", vectors, score[:, :count]) ** 2
+            found.append((np.maximum(values, 0.0), along))
+        return found
+
+
+def _evidence(parts: Sequence[Eigen]) -> Array:
+    """Returns the log Bayes factor of each frequency in several channels together, with one prior for the total energy, shape (F,)."""
+    size, along = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
+    unit = np.maximum(size.sum(1, keepdims=True), 1e-300)
+    return averaged(from_eigen(size / unit, along / unit, 1.0))
+
+
+def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
+    """Returns the coefficients of the cosine transform of exp(iωt), shape (S, orders, P). The time t starts at zero in every
+    segment. `lasting_`: array of shape (S,), durations of the segments; segments of equal duration are computed once."""
+    middles = (np.arange(NODES) + 0.5) / NODES
+    cosines = (
+        np.cos(np.pi * np.arange(orders)[:, None] * middles)
+        * np.where(np.arange(orders) == 0, 1.0, np.sqrt(2.0))[:, None]
     )
-
-
-def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
-    """Fits a sine to the samples of a scan, with Gauss–Newton steps in the frequency, and subtracts the part of the sine that lies
-    outside the basis of the coefficients. Returns the remaining samples (n,) and the fitted frequency, Hz. `frequency`: approximate
-    frequency of the sine, Hz. `spacing`: distance between the frequencies of the periodogram, Hz. The search starts at the
-    frequency with the highest power among closely spaced frequencies around `frequency`. The closely spaced frequencies are
-    necessary because gaps between segments make neighbouring values of the periodogram almost as high as the highest one."""
-    observed, spectrum = weighing.observed, weighing.spectrum
-    time = observed.time - observed.time.mean()
-    root = np.sqrt(scan.weight)
-    found = scan.samples
-    frequency += _highest(time[scan.chosen], scan.samples * scan.weight, frequency, spacing)
-    for _ in range(_TUNINGS):
-        phase = 2 * np.pi * frequency * time
-        waves = np.column_stack([np.cos(phase), np.sin(phase)])
-        waves = spectrum.outside(observed, np.column_stack([waves, waves * time[:, None] / time[-1]]))
-        columns = waves[scan.chosen] / scan.level[:, None] * root[:, None]
-        fitted = np.linalg.lstsq(columns, scan.samples * root, rcond=None)[0]
-        found = scan.samples - columns @ fitted / root
-        cosine, sine, cosine_drift, sine_drift = fitted
-        turned = (sine * cosine_drift - cosine * sine_drift) / (cosine**2 + sine**2)
-        frequency += float(turned / time[-1] / (2 * np.pi))
-    return np.asarray(found), frequency
-
-
-def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> float:
-    """Searches closely spaced frequencies around `frequency` for the highest power. Returns the distance of the best frequency from
-    `frequency`, Hz. The samples (n,) are first shifted to frequency zero. The shifted samples change little within a block of time,
-    so sums over blocks are sufficient."""
-    place = ((time - time[0]) * (_BLOCKS / (time[-1] - time[0]) * (1 - 1e-9))).astype(np.int64)
-    shifted = samples * np.exp(-2j * np.pi * frequency * time)
-    sums = np.bincount(place, shifted.real, _BLOCKS) + 1j * np.bincount(place, shifted.imag, _BLOCKS)
-    middles = time[0] + (np.arange(_BLOCKS) + 0.5) / _BLOCKS * (time[-1] - time[0])
-    about = spacing * np.linspace(-_NEAR, _NEAR, 20 * _NEAR + 1)
-    return float(about[int(np.argmax(np.abs(np.exp(-2j * np.pi * np.outer(about, middles)) @ sums)))])
-
-
-def _local_level(power: Array) -> Array:
-    """Returns the level of coloured noise in a periodogram (F,), shape (F,). The level is interpolated linearly, in logarithms,
-    between medians over blocks. A line does not raise the median of its block."""
-    blocks = np.array_split(power, max(len(power) // BLOCK, 1))
-    middles = np.cumsum([len(block) for block in blocks]) - [len(block) / 2 for block in blocks]
-    levels = [np.log(np.median(block) / np.log(2.0) + 1e-300) for block in blocks]
-    return np.asarray(np.exp(np.interp(np.arange(len(power)), middles, levels)))
-
-
-def _tone(powers: list[Array]) -> float:
-    """Returns the log Bayes factor of a tone of unknown frequency that keeps its phase and appears in several channels. `powers`:
-    for each channel, the powers of its periodogram."""
-    powers = [power for power in powers if len(power)]
-    if not powers:
-        return -np.inf
-    power = np.sum(powers, axis=0)
-    s2 = np.geomspace(WEAKEST, STRONGEST, 12) / len(powers)
-    each = [float(log_mean_exp(power * s / (1 + s), 0)) - len(powers) * np.log1p(s) for s in s2]
-    return float(log_mean_exp(np.array(each), 0))
+    spans, which = np.unique(lasting_, return_inverse=True)
+    waves_ = np.exp(1j * (spans[:, None, None] * middles[:, None] * pulses))
+    return np.asarray((cosines / NODES @ waves_)[which])

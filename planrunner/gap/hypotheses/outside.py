@@ -1,0 +1,371 @@
+"""Evaluates the patterns outside the basis of the coefficients: tones and bursts. They appear in the remainder, that is, in the
+samples minus the components that the coefficients represent.
+
+A tone keeps its frequency and its phase over the whole run. It is searched in the periodogram of the remainder.
+
+A burst is a window of a few seconds with a shifted bias or with larger noise, at a random time in a run. Every window contains a
+burst with the same small probability. The windows are parts of the remainder. Therefore, a part of each burst is missing. A
+deviation that appears in most windows of segments of equal length is slow noise, not a burst.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planrunner.base.arrays import Array
+from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, log_mean_exp
+from planrunner.gap.evidence.noise_levels import HOLDS
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
+from planrunner.plan.schedule import Rest, Spin
+
+TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
+PLAIN = 8.0
+"""If the log Bayes factor of a tone is above this value, the tone is reported. If the log Bayes factor of one sort of patterns is at
+least this value, the other sorts are evaluated on the remainder."""
+LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
+BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
+MATERIAL = float(np.expm1(2 * HOLDS))
+"""If the power of a tone, divided by the variance of the noise, is at least this value, the tone is not a part of correctly
+declared noise."""
+_TUNINGS = 4  # corrections of the frequency of a fitted tone
+_NEAR = 8  # spacings of a periodogram about its highest frequency, between which finer values are tried
+_BLOCKS = 1024  # of time, over which shifted samples are summed
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """Describes a tone that keeps its phase over the whole run.
+
+    `frequency`: frequency of the tone, Hz. `amplitude`: in the unit of the channel. `evidence`: log Bayes factor of the tone.
+    """
+
+    channel: str
+    frequency: float
+    amplitude: float
+    evidence: float
+
+
+@dataclass(frozen=True)
+class Outside:
+    """Contains the evidence for the patterns outside the basis of the coefficients.
+
+    `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
+    `causes`: those of these tones that count as separate causes.
+    """
+
+    log_bayes: dict[Pattern, Array]
+    lines: tuple[Line, ...]
+    causes: tuple[Line, ...]
+
+
+def outside(weighing: Weighing) -> Outside:
+    """Evaluates the patterns outside the basis of the coefficients.
+
+    Real noise often contains lines (supply, dither, resonances). A line counts as a separate cause only if it is a single tone with
+    a power of at least `MATERIAL`. Other lines belong to the noise and are only reported.
+    """
+    scopes, scans = scopes_of(weighing), [_scan(weighing, index) for index in range(len(weighing.observed.channels))]
+    periodograms = [_Periodogram.of(scan, scan.samples) for scan in scans]
+    tones = np.array([_tone([periodograms[index].power for index in scope]) for scope in scopes])
+    lines, causes = [], dict[int, Line]()
+    for index, (scan, periodogram, evidence) in enumerate(zip(scans, periodograms, tones, strict=False)):
+        if evidence > PLAIN:
+            top = int(np.argmax(periodogram.power))
+            amplitude, channel = float(periodogram.amplitude[top]), weighing.observed.channels[index]
+            frequency = float(periodogram.frequency[top])
+            rest, frequency = _without_tone(weighing, scan, frequency, float(periodogram.frequency[0]))
+            lines.append(Line(channel.name, frequency, amplitude / channel.factor, float(evidence)))
+            material = scan.energy(scan.samples) >= (1 + MATERIAL) * scan.energy(rest)
+            if material and _tone([_Periodogram.of(scan, rest).power]) <= PLAIN:
+                causes[index] = lines[-1]
+    tones = np.where([bool(causes.keys() & set(scope)) for scope in scopes], tones, np.minimum(tones, 0.0))
+    return Outside({TONE: tones, BURSTS: bursts(weighing, scopes)}, tuple(lines), tuple(causes.values()))
+
+
+def scopes_of(weighing: Weighing) -> list[list[int]]:
+    """Returns the scopes of patterns, as lists of channel indices: every single channel, then the triads."""
+    triads = [members for kind in ("gyro", "accel") if len(members := weighing.observed.of_kind(kind)) > 1]
+    return [[index] for index in range(len(weighing.observed.channels))] + triads
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """Contains the remainder of a channel (samples minus their components in the basis) in segments at rest and turning, prepared
+    for a periodogram.
+
+    `chosen`: array of shape (n,), indices of the samples that are used. `weight`: array of shape (n,), number of raw samples that
+    each of these samples combines. `samples`: array of shape (n,), the samples in SI units, each divided by the level of the noise
+    of its segment. `slot`: array of shape (n,), position of each sample on a time grid of `length` steps of `step` seconds.
+    `level`: array of shape (n,), level of the noise, as a standard deviation relative to `white`. `coloured`: True if the spectrum
+    of the noise is not white. If the run is too long or too short, or if the counts (digital steps) of the channel are coarse, the
+    scan has no samples.
+    """
+
+    chosen: NDArray[np.int64]
+    weight: Array
+    samples: Array
+    slot: NDArray[np.int64]
+    length: int
+    step: float
+    level: Array
+    white: float
+    coloured: bool
+
+    def energy(self, samples: Array) -> float:
+        """Returns the energy of samples (n,), summed over the raw samples, SI². `samples`: samples divided by the level of the
+        noise, as in the attribute `samples`."""
+        return float(self.weight @ samples**2)
+
+
+@dataclass(frozen=True)
+class _Periodogram:
+    """Contains the periodogram of a scan.
+
+    `frequency`: array of shape (F,) in Hz. `power`: array of shape (F,), power at each frequency in units of the noise power.
+    `amplitude`: array of shape (F,) in SI units, amplitude of a sine with this power.
+    """
+
+    frequency: Array
+    power: Array
+    amplitude: Array
+
+    @classmethod
+    def of(cls, scan: _Scan, samples: Array) -> _Periodogram:
+        """Computes the periodogram of samples (n,) that have the positions of the samples of a scan."""
+        from scipy.fft import next_fast_len, rfft
+
+        if not len(samples):
+            return cls(np.empty(0), np.empty(0), np.empty(0))
+        length = next_fast_len(scan.length, real=True)
+        grid = np.bincount(scan.slot, samples * scan.weight, length)
+        total = float(scan.weight.sum())
+        frequency = np.arange(1, length // 2) / (length * scan.step)
+        seen = np.abs(rfft(grid)[1 : length // 2])
+        power = seen**2 / (scan.white**2 * total)
+        if scan.coloured:
+            power /= _local_level(power)
+        return cls(frequency, power, 2 * seen / total * float(np.sqrt(np.mean(scan.level**2))))
+
+
+def _scan(weighing: Weighing, index: int) -> _Scan:
+    observed, noise = weighing.observed, weighing.noise
+    moved = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
+    step = (float(observed.bin_size[moved].max()) if moved.any() else 1.0) / observed.sample_rate
+    slot = np.round((observed.time - observed.time[0]) / step).astype(np.int64)
+    chosen = np.flatnonzero(moved[observed.owner])
+    if weighing.coarse[index] or slot[-1] >= LONGEST_SCAN or slot[-1] < 16:
+        chosen = chosen[:0]
+    owner = observed.owner[chosen]
+    weight = np.ones(len(chosen)) if observed.bins is None else observed.bin_size[owner].astype(float)
+    level = np.sqrt(noise.level[owner, index])
+    return _Scan(
+        chosen,
+        weight,
+        weighing.spectrum.remainder[chosen, index] / (level * np.sqrt(weight)),
+        slot[chosen],
+        int(slot[-1]) + 1,
+        step,
+        level,
+        float(weighing.white[index]),
+        bool(noise.coloured[:, index].any()),
+    )
+
+
+def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
+    """Fits a sine to the samples of a scan, with Gauss–Newton steps in the frequency, and subtracts the part of the sine that lies
+    outside the basis of the coefficients. Returns the remaining samples (n,) and the fitted frequency, Hz. `frequency`: approximate
+    frequency of the sine, Hz. `spacing`: distance between the frequencies of the periodogram, Hz. The search starts at the
+    frequency with the highest power among closely spaced frequencies around `frequency`. The closely spaced frequencies are
+    necessary because gaps between segments make neighbouring values of the periodogram almost as high as the highest one."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    time = observed.time - observed.time.mean()
+    root = np.sqrt(scan.weight)
+    found = scan.samples
+    frequency += _highest(time[scan.chosen], scan.samples * scan.weight, frequency, spacing)
+    for _ in range(_TUNINGS):
+        phase = 2 * np.pi * frequency * time
+        waves = np.column_stack([np.cos(phase), np.sin(phase)])
+        waves = spectrum.outside(observed, np.column_stack([waves, waves * time[:, None] / time[-1]]))
+        columns = waves[scan.chosen] / scan.level[:, None] * root[:, None]
+        fitted = np.linalg.lstsq(columns, scan.samples * root, rcond=None)[0]
+        found = scan.samples - columns @ fitted / root
+        cosine, sine, cosine_drift, sine_drift = fitted
+        turned = (sine * cosine_drift - cosine * sine_drift) / (cosine**2 + sine**2)
+        frequency += float(turned / time[-1] / (2 * np.pi))
+    return np.asarray(found), frequency
+
+
+def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> float:
+    """Searches closely spaced frequencies around `frequency` for the highest power. Returns the distance of the best frequency from
+    `frequency`, Hz. The samples (n,) are first shifted to frequency zero. The shifted samples change little within a block of time,
+    so sums over blocks are sufficient."""
+    place = ((time - time[0]) * (_BLOCKS / (time[-1] - time[0]) * (1 - 1e-9))).astype(np.int64)
+    shifted = samples * np.exp(-2j * np.pi * frequency * time)
+    sums = np.bincount(place, shifted.real, _BLOCKS) + 1j * np.bincount(place, shifted.imag, _BLOCKS)
+    middles = time[0] + (np.arange(_BLOCKS) + 0.5) / _BLOCKS * (time[-1] - time[0])
+    about = spacing * np.linspace(-_NEAR, _NEAR, 20 * _NEAR + 1)
+    return float(about[int(np.argmax(np.abs(np.exp(-2j * np.pi * np.outer(about, middles)) @ sums)))])
+
+
+def _local_level(power: Array) -> Array:
+    """Returns the level of coloured noise in a periodogram (F,), shape (F,). The level is interpolated linearly, in logarithms,
+    between medians over blocks. A line does not raise the median of its block."""
+    blocks = np.array_split(power, max(len(power) // BLOCK, 1))
+    middles = np.cumsum([len(block) for block in blocks]) - [len(block) / 2 for block in blocks]
+    levels = [np.log(np.median(block) / np.log(2.0) + 1e-300) for block in blocks]
+    return np.asarray(np.exp(np.interp(np.arange(len(power)), middles, levels)))
+
+
+def _tone(powers: list[Array]) -> float:
+    """Returns the log Bayes factor of a tone of unknown frequency that keeps its phase and appears in several channels. `powers`:
+    for each channel, the powers of its periodogram."""
+    powers = [power for power in powers if len(power)]
+    if not powers:
+        return -np.inf
+    power = np.sum(powers, axis=0)
+    s2 = np.geomspace(WEAKEST, STRONGEST, 12) / len(powers)
+    each = [float(log_mean_exp(power * s / (1 + s), 0)) - len(powers) * np.log1p(s) for s in s2]
+    return float(log_mean_exp(np.array(each), 0))
+
+
+BURSTS = Pattern("bursts", Sort.BURSTS, Factor.TIME)
+LENGTHS = (1.0, 2.0, 4.0)  # s, of the windows in which bursts are searched
+CHANCES = (0.005, 0.02, 0.08)  # probability of a burst in a window
+ENERGIES = np.geomspace(4.0, 4000.0, 12)  # of a burst in one channel, in units of the noise
+FEWEST = 16  # windows of segments that last alike, and samples of one
+KEPT = 0.5  # share of a shifted bias that must remain outside the coefficients
+_MEDIAN = 0.4549  # of the square of a normal variable
+_DEVIATION = 0.6745  # median absolute deviation of a normal variable
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """A set of windows with the same number of samples.
+
+    `starts`: array of shape (W,), first sample of each window. `lasting`: array of shape (W,), number of samples of the segment to
+    which each window belongs. `kept`: array of shape (W,), fraction of the energy of a constant bias in the window that the
+    coefficients do not absorb.
+    """
+
+    starts: NDArray[np.int64]
+    lasting: NDArray[np.int64]
+    kept: Array
+
+
+def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
+    """Computes the log Bayes factor of bursts in the channels of each scope, shape (scopes,); −∞ if the recording is too short for
+    windows."""
+    observed, found = weighing.observed, []
+    remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder) / (
+        weighing.white * np.sqrt(weighing.noise.level[observed.owner])
+    )
+    sums = _summed(remainder), _summed(remainder**2)
+    within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
+    inefficiency = np.maximum(weighing.noise.inefficiency, _of_short_windows(weighing, sums, within))
+    for length in LENGTHS:
+        size = round(length * observed.sample_rate / float(observed.bin_size.max()))
+        for begin in (0, size // 2):
+            windows = _windows(weighing, within, size, begin) if size >= FEWEST else None
+            if windows is not None:
+                found.append(_evidence(sums, windows, size, scopes, inefficiency))
+    return log_mean_exp(np.array(found), 0) if found else np.full(len(scopes), -np.inf)
+
+
+def _of_short_windows(weighing: Weighing, both: tuple[Array, Array], within: Mapping[int, Array]) -> Array:
+    """Returns the overdispersion (K,) of the energies of the shortest windows. Noise with many small values and a few large ones
+    has a large overdispersion. The short windows are numerous, so they show the overdispersion more precisely than longer windows.
+    `both`: the same as in `_evidence`."""
+    windows = _windows(weighing, within, FEWEST, 0)
+    if windows is None:
+        return np.ones(len(weighing.white))
+    return _overdispersion(_normalised(both, windows, FEWEST)[1], FEWEST - 1.0)
+
+
+def _summed(values: Array) -> Array:
+    """Returns the cumulative sums of the samples, shape (N + 1, K). The first sum is zero."""
+    return np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
+
+
+def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
+    """Divides every segment at rest or turning into whole windows of `size` samples. The first window starts at the sample `begin`
+    of the segment. Returns None if there are too few usable windows. `within`: for each basis, the cumulative sums of its
+    vectors."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    starts, lasting, kept = [], [], []
+    known: dict[int, Array] = {}
+    for motion, basis, part in zip(observed.motions, spectrum.bases, observed.segments(), strict=True):
+        own = np.arange(begin, part.stop - part.start - size + 1, size)
+        if not isinstance(motion, Rest | Spin) or not len(own):
+            continue
+        if id(basis) not in known:
+            sums = within[id(basis)]
+            known[id(basis)] = 1 - ((sums[own + size] - sums[own]) ** 2).sum(1) / size
+        clear = known[id(basis)] > KEPT
+        starts.append(part.start + own[clear])
+        kept.append(known[id(basis)][clear])
+        lasting.append(np.full(int(clear.sum()), part.stop - part.start))
+    if not starts:
+        return None
+    found = _Windows(np.concatenate(starts), np.concatenate(lasting), np.concatenate(kept))
+    _, which, counts = np.unique(found.lasting, return_inverse=True, return_counts=True)
+    many = counts[which] >= FEWEST
+    return _Windows(found.starts[many], found.lasting[many], found.kept[many]) if many.any() else None
+
+
+def _evidence(
+    both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
+) -> Array:
+    """Returns the log Bayes factor of bursts, from windows of one size, shape (scopes,). `both`: cumulative sums of the samples in
+    units of the noise, and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which
+    coloured noise reduces the degrees of freedom of a sum of squares."""
+    mean, rest = _normalised(both, windows, size)
+    offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
+    noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1))
+    noisier /= np.maximum(inefficiency, _overdispersion(rest, size - 1.0))[:, None]
+    found = np.empty((len(scopes), 3))
+    for row, scope in enumerate(scopes):
+        forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
+        found[row] = [_here_and_there(form) for form in forms]
+    return log_mean_exp(found, 1)
+
+
+def _normalised(both: tuple[Array, Array], windows: _Windows, size: int) -> tuple[Array, Array]:
+    """Returns the energies of the mean and of the remaining scatter of each window, each of shape (W, K). The energies are divided
+    by the median energy of the windows in segments of equal length, if this median exceeds the median for white noise."""
+    sums, squares = both
+    first, last = windows.starts, windows.starts + size
+    mean = (sums[last] - sums[first]) ** 2 / size
+    rest = np.maximum(squares[last] - squares[first] - mean, 0.0)
+    mean /= windows.kept[:, None]
+    for lasting in np.unique(windows.lasting):
+        alike = windows.lasting == lasting
+        mean[alike] /= np.maximum(np.median(mean[alike], axis=0) / _MEDIAN, 1.0)
+        rest[alike] /= np.maximum(np.median(rest[alike], axis=0) / (size - 1), 1.0)
+    return mean, rest
+
+
+def _overdispersion(energy: Array, degrees: float) -> Array:
+    """Returns the overdispersion of the energies (W, K) of windows, shape (K,). The overdispersion is the variance of the energies
+    divided by their variance for white noise, which is 2·degrees. The overdispersion exceeds 1 because the level of real noise
+    always varies a little. The variance is computed from the median absolute deviation, which bursts in a few windows do not
+    increase."""
+    spread = np.median(np.abs(energy - np.median(energy, axis=0)), axis=0) / _DEVIATION
+    return np.asarray(spread**2 / (2 * degrees))
+
+
+def _larger(energy: Array, degrees: float, added: Array) -> Array:
+    """Returns the log Bayes factor of the variance 1 + a relative to the variance 1, for each value a of `added`, shape (W, K, E).
+    `energy`: array of shape (W, K), energies with the given degrees of freedom."""
+    return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
+
+
+def _here_and_there(windows: Array) -> float:
+    """Returns the log Bayes factor of bursts relative to no bursts. With bursts, every window has the same small probability of
+    containing one. `windows`: array of shape (W, E), log Bayes factor of a burst in each window at each energy."""
+    each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
+    return float(log_mean_exp(np.array(each).ravel(), 0))
