@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from planrunner.gap.answer.rivals import Rival, expected_evidence, expected_loss, expected_probability
+from planrunner.gap.answer.next import Rival, expected_evidence, expected_loss, expected_probability
 
 
 def _made(seed: int) -> tuple[list[Rival], np.ndarray, np.ndarray]:
