@@ -13,8 +13,8 @@ from planrunner.error_model.effects.interface import Shaped, effect_named
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.apart import fitted_line
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
+from planrunner.gap.answer.gap_description import levels
 from planrunner.gap.answer.posterior import PRIORS
-from planrunner.gap.answer.where import levels
 from planrunner.gap.hypotheses.candidates import FULL, Weighing
 from planrunner.observation.refusals import ObservationError
 from tests.gap.turntable import DEG, GYRO_WHITE, Fault, G, kept, record

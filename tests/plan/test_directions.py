@@ -21,7 +21,7 @@ from planrunner.plan import directions
 directions.DIRECTIONS[{WORD!r}] = {DIRECTION!r}
 
 import numpy as np
-from planrunner.gap.answer.where import _words
+from planrunner.gap.answer.gap_description import _words
 from planrunner.instruments.table_keys import AxisSpec
 from planrunner.base.findings import Findings
 from planrunner.plan.kinds import Schema

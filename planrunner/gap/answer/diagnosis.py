@@ -5,8 +5,8 @@ The diagnosis has five steps. First, spectra and noise are computed, and the par
 projected out (`weighing`). The nominal parameters, such as bias and scale factors, are the parameters that the simulation fits.
 Second, the evidence is evaluated for every installed effect (`candidates`), for pairs of effects, and for patterns outside the
 catalogue (`posterior`, `open_set`). Third, a verdict is derived; if the plan cannot separate several effects, the verdict names all
-of them as a class (`verdict`). Fourth, the gap is located (`where`). Finally, the closure of the gap is computed on held-out
-segments (`closure`).
+of them as a class (`verdict`). Fourth, the gap is described and located (`gap_description`). Finally, the closure of the gap
+is computed on held-out segments (`closure`).
 """
 
 from __future__ import annotations
@@ -42,13 +42,21 @@ from planrunner.gap.answer.closure import (
     not_measured,
     whole_choices,
 )
-from planrunner.gap.answer.description import NoiseFound, gap_by_channel, noise_found, pictures
+from planrunner.gap.answer.gap_description import (
+    MisfitPlace,
+    NoiseFound,
+    UnknownForm,
+    gap_by_channel,
+    noise_found,
+    pictures,
+    places,
+    unknown_form,
+)
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.posterior import PRIORS, UNKNOWN, Posterior, posterior
 from planrunner.gap.answer.remainder import Remainder, dispersions, remainder
 from planrunner.gap.answer.sets import EffectSet, Member, key_of, together
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
-from planrunner.gap.answer.where import MisfitPlace, UnknownForm, places, unknown_form
 from planrunner.gap.hypotheses.candidates import FULL, Candidate, Forms, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of, shape_alone, whole_forms
 from planrunner.observation.refusals import ObservationError
