@@ -74,8 +74,8 @@ class _Answer:
     """The answer to a task. The answer contains the results of the items up to the first item that failed, and the exception of
     this item. If the worker cannot compute, it contains the reason instead.
 
-    `seconds`: the time that computing took, s. `unfit`: maps each library whose versions differ to the pair (version here, version
-    on the worker)."""
+    `seconds`: the time that computing took, s. `unseen`: a path that the worker does not see; otherwise empty. `worker`: name of
+    the worker. `unfit`: maps each library whose versions differ to the pair (version here, version on the worker)."""
 
     results: tuple[object, ...] = ()
     error: Exception | None = None

@@ -258,8 +258,8 @@ def mean_left(turns: float) -> float:
     """Returns the largest possible absolute mean of a sine wave with the amplitude one during `turns` turns. The mean depends on
     the start angle of the sine wave; the result is the largest mean of all start angles.
 
-    The mean (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN). The magnitude of this mean is at most |sin
-    πN|/(πN), and the mean is zero after whole turns.
+    For N = `turns`, the mean (1/2πN)·∫ cos θ dθ from θ₀ to θ₀ + 2πN is cos(θ₀ + πN)·sin(πN)/(πN). The magnitude of this mean is at
+    most |sin πN|/(πN), and the mean is zero after whole turns.
     """
     return abs(math.sin(math.pi * turns)) / (math.pi * turns)
 

@@ -279,8 +279,8 @@ class Observed:
 
     def turn_before(self, seconds: float) -> Array:
         """Returns the rate `turn` of `seconds` earlier, minus the present `turn`, shape (N, 3). While the table rocks with angular
-        frequency p, the motion is harmonic: ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows the motion, the rate is
-        assumed to be constant before the first and after the last sample of a segment."""
+        frequency p, the motion is harmonic: with d = `seconds`, ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows
+        the motion, the rate is assumed to be constant before the first and after the last sample of a segment."""
         from scipy.interpolate import CubicSpline
 
         change = np.zeros((len(self.time), 3))

@@ -269,10 +269,11 @@ def _not_corrected(
     noises: Sequence[WithinSegmentNoise],
     basis: str,
 ) -> Array:
-    """Returns the sizes (m, r) of the error that a drift function causes if it is not corrected. A size is √(a² + u²), where a is
-    the fitted amplitude and u is its standard uncertainty. `plain`, `found`: the fits of the outputs without and with the drift
-    function. If the uncertainties are based on residuals, u follows from the residuals of the fits with the drift function. If
-    these fits have no degrees of freedom, u follows from the residuals of the fits without the drift function."""
+    """Returns the sizes of the error that a drift function causes if it is not corrected, shape (m, r), for m outputs and r columns
+    of the drift function. A size is √(a² + u²), where a is the fitted amplitude and u is its standard uncertainty. `plain`,
+    `found`: the fits of the outputs without and with the drift function. If the uncertainties are based on residuals, u follows
+    from the residuals of the fits with the drift function. If these fits have no degrees of freedom, u follows from the residuals
+    of the fits without the drift function."""
     r = course.columns.shape[1]
     amplitudes = np.array([one.coefficients[-r:] for one in found])
     by_noise = [noise.known and basis != "residual" for noise in noises]
@@ -331,7 +332,8 @@ def _next(
 
 
 def _separable(scaled: Array, course: DriftCourse) -> bool:
-    """Returns True if the drift function is independent of given columns (n, P), which are already divided by their magnitudes."""
+    """Returns True if the drift function is linearly independent of the columns `scaled` (n, P), which are already divided by their
+    magnitudes."""
     basis = np.linalg.svd(scaled, full_matrices=False)[0][:, : rank.look(scaled).rank]
     own = course.columns - basis @ (basis.T @ course.columns)
     return bool(np.all(np.sum(own**2, axis=0) > _SEPARABLE**2 * np.sum(course.columns**2, axis=0)))

@@ -1,5 +1,5 @@
-"""Reads tables of results in format 1. Their columns have titles but no roles, so this module derives the roles from the titles and
-the cells.
+"""Reads tables of results in format 1. Their columns have titles but no roles (a role states the kind of the cells, such as a value
+or an uncertainty), so this module derives the roles from the titles and the cells.
 
 No other module interprets titles, because tables in the present format state the roles.
 """

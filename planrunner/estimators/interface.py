@@ -4,7 +4,7 @@ An estimator is a class found through the entry-point group `planrunner.estimato
 
     class MyEstimator:
         summary = "one line"
-        Parameters = MyParameters                     # a Record: its keys beside `estimator`, `segments`, `uses`
+        Parameters = MyParameters                     # a Record: its keys, apart from `estimator`, `segments`, `uses`
         def design(self, request: DesignRequest[MyParameters]) -> Design | None      # before anything moves
         def estimate(self, request: EstimateRequest[MyParameters]) -> Estimate       # from the recording
 

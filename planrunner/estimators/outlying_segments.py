@@ -5,7 +5,7 @@ The test uses the mean-shift model: segment i of an output has an error δ. An a
 elsewhere, describes this error. The t value of δ is the externally studentised residual (Cook and Weisberg, Residuals and Influence
 in Regression, 1982, 2.2.2; for correlated observations Baarda, A Testing Procedure for Use in Geodetic Networks, 1968). The largest
 t value of all segments is tested with Bonferroni's bound. If the largest t value is significant, the search is repeated among the
-other segments, so that two wrong labels do not hide each other.
+other segments, so that two wrong segments do not hide each other.
 
 The redundancy of a segment is the fraction of an error of this segment that appears in the segment's residual. If the redundancy is
 small, this segment alone determines a coefficient: an error of the segment changes the coefficient, but does not appear in the

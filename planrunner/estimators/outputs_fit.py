@@ -1,13 +1,13 @@
 """Fits several outputs with the same design matrix. Gives the coefficients with their joint covariance and degrees of freedom, for
-each of two bases of uncertainty.
+each of two kinds (bases) of uncertainty.
 
 The prior knowledge about the observations of an output is a covariance V. V contains the noise observed within the segments and the
-declared correlated errors (`correlated_errors`). The fit is generalised least squares with V. The two bases of uncertainty answer
-different questions:
+declared correlated errors (`correlated_errors`), which are called effects below. The fit is generalised least squares with V. The
+two bases of uncertainty answer different questions:
 
     within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences. Unstated
                      changes from segment to segment (switch-on, an incomplete model) are not included.
-    residual         V gives the proportions, and the scatter of the segments about the model gives one common factor. Unstated
+    residual         Only the proportions of V are used. The scatter of the segments about the model gives one common factor. Unstated
                      effects are included, but there are few degrees of freedom.
 """
 
@@ -58,15 +58,15 @@ class OutputsFit:
     within the segments. `spreads`: array of shape (m, n), standard uncertainties for the weights, without the effects. The standard
     uncertainties include the noise within the segments and, if needed, an additional standard deviation between segments
     (`between_segments`). `between`: array of shape (m,), the additional standard deviation between segments; 0 if it is not needed.
-    `ratios`: array of shape (m,), residual variance divided by the variance expected from noise and effects. `effects`: the effects
-    that the weights include. `unweighted`: effects that the weights do not include, because the noise of an output is not known.
-    `pooled`: True if one variance factor applies to all outputs, which requires that the proportions of the outputs' noise are
-    known beforehand. `pooled_freedom`: degrees of freedom of this variance factor. `drift`: the drift functions (powers of the time
-    or recorded temperatures) that are fitted together with the terms. `all_gains`: array of shape (m, P, n), derivatives of the
-    coefficients of all P columns with respect to the observations. `all_cofactors`: for each basis, an array of shape (m, P, m, P),
-    the covariance of the coefficients of all P columns without the variance factors. `within`: number of observations at the end
-    that are not means of segments (`Observations`). `unstated`: effects of unknown size, each described for a size of one unit. The
-    fit does not include them.
+    `ratios`: array of shape (m,), residual variance divided by the variance expected from noise and effects. `effects`: the
+    correlated errors that the weights include. `unweighted`: correlated errors that the weights do not include, because the noise
+    of an output is not known. `pooled`: True if one variance factor applies to all outputs, which requires that the proportions of
+    the outputs' noise are known beforehand. `pooled_freedom`: degrees of freedom of this variance factor. `drift`: the drift
+    functions (powers of the time or recorded temperatures) that are fitted together with the terms. `all_gains`: array of shape (m,
+    P, n), derivatives of the coefficients of all P columns with respect to the observations. `all_cofactors`: for each basis, an
+    array of shape (m, P, m, P), the covariance of the coefficients of all P columns without the variance factors. `within`: number
+    of observations at the end that are not means of segments (`Observations`). `unstated`: effects of unknown size, each described
+    for a size of one unit. The fit does not include them.
     """
 
     outputs: tuple[str, ...]

@@ -4,8 +4,8 @@ Each input is changed by a small amount, and the model is evaluated again.
 Errors of latitude and gravity change the columns of the model. These errors cause no scatter between segments, so their
 contribution is added to the contribution of the data. The errors of the table are the errors of its positions, of its azimuth, of
 the right angles between its axes, and of its rates. The errors of the table differ between segments and cause scatter, so they are
-included in the weights of a fit (`correlated_errors`). The sign of a change belongs to an input whose stated value is larger than
-the true value. For positions, the sign belongs to a rotation of the sensor by the position error.
+included in the weights of a fit (`correlated_errors`). The sign of each change applies to an input whose stated value is larger
+than the true value. For a position error, the sign applies to a rotation of the sensor by this error.
 """
 
 from __future__ import annotations

@@ -69,11 +69,12 @@ class Failure:
 class Outcome:
     """The outcome of executing a schedule.
 
-    `completed`: number of segments acknowledged in this execution. `segments`: number of segments in the schedule. `stopped`: how
-    the operator stopped the run; None if the operator did not stop it. `unsafe`: failures in making instruments safe. `untouched`:
-    instruments that were never commanded, and are therefore left as they were. `finished`: True if every segment is acknowledged
-    and the folder is sealed. `remarks`: information that the user needs even if the run is complete. `unsigned`: the reason why the
-    bench did not sign the seal although it should have.
+    `completed`: number of segments acknowledged in this execution. A segment is acknowledged when the journal records that it is
+    complete. `segments`: number of segments in the schedule. `stopped`: how the operator stopped the run; None if the operator did
+    not stop it. `unsafe`: failures in making instruments safe. `untouched`: instruments that were never commanded, and are
+    therefore left as they were. `finished`: True if every segment is acknowledged and the folder is sealed. `remarks`: information
+    that the user needs even if the run is complete. `unsigned`: the reason why the bench did not sign the seal although it should
+    have.
     """
 
     completed: int

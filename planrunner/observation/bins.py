@@ -1,13 +1,13 @@
 """Averages a long recording with a limited amount of memory. In one pass over the blocks of a segment, consecutive samples are
 averaged in bins.
 
-A recording of up to `BUDGET` samples is not averaged. In a longer recording, the bins are large enough for this budget. However, a
-turn or a period of rocking has at least `PER_PERIOD` bins, and a segment has at least `FEWEST` bins. During motion, the number of
-bins therefore depends on the number of turns, not on the number of samples. Three properties can be measured only on single
-samples, and the same pass measures them. The first is the white noise level; it comes from the same orders of the cosine transform
-as in a short recording. The second is the size of a count. The third is outliers, which are replaced by interpolation between their
-neighbours. Frequencies above half the bin rate are lost. Up to `size` − 1 samples at the end of a segment are also lost, because
-they do not fill a bin of `size` samples.
+A recording of up to `BUDGET` samples is not averaged. In a longer recording, the bins are so large that there are at most about
+`BUDGET` bins. However, a turn or a period of rocking has at least `PER_PERIOD` bins, and a segment has at least `FEWEST` bins.
+During motion, the number of bins therefore depends on the number of turns, not on the number of samples. Three properties can be
+measured only on single samples, and the same pass measures them. The first is the white noise level; it comes from the same orders
+of the cosine transform as in a short recording. The second is the size of a count. The third is outliers, which are replaced by
+interpolation between their neighbours. Frequencies above half the bin rate are lost. Up to `size` − 1 samples at the end of a
+segment are also lost, because they do not fill a bin of `size` samples.
 """
 
 from __future__ import annotations

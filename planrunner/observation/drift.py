@@ -1,5 +1,5 @@
-"""Describes a slow drift of the outputs during a test by drift functions. The drift may be proportional to such a function, which
-is a function of the time, of the temperature, or of the temperature's rate of change.
+"""Describes a slow drift of the outputs during a test by drift functions. A drift function depends on the time, on the temperature,
+or on the temperature's rate of change. The drift of an output is a multiple of one such function, or a sum of multiples of several.
 
 A drift is not a result: the drift functions are fitted together with the coefficients only so that the unknown drift contributes to
 the uncertainties of the coefficients. A drift function is represented by its mean over each segment, minus its average over the

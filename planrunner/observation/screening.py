@@ -793,15 +793,16 @@ def _stands_out(window: _Window) -> bool:
 def _is_rough(values: Array) -> bool:
     """Returns True if values (n,) change too irregularly to be a sampled motion. The measure is the sum of the squared second
     differences relative to its expectation for white noise, 6·Σx². It is 1/6 for a sine with six samples per period, and at most
-    1/12 for four or more samples on one new level. Values with a faster change also average out, as far as they are motion."""
+    1/12 for four or more samples on one new level. A motion that changes faster than this averages out over its periods, so its
+    values need not be kept."""
     return bool(np.sum(np.diff(values, 2) ** 2) > _ROUGH * 6 * np.sum(values**2))
 
 
 def _changes_before(x: Array, size: int, places: RowNumbers, noise: float) -> Array:
     """Returns, for each of the samples x[places], the largest change from sample to sample among the `size` samples before it. The
     result is finite only if these samples and the next two are within the distance `noise` of one level. Otherwise, and near the
-    ends, it is infinity. The condition excludes the ripple of a filter beside a turn, which does not keep a level. `x`: array of
-    shape (n,)."""
+    ends, it is infinity. The condition excludes the ripple that a filter causes next to a turn, because the ripple does not keep a
+    level. `x`: array of shape (n,)."""
     found = np.full(len(places), np.inf)
     inner = np.flatnonzero((places >= size) & (places < len(x) - 2))
     others = x[places[inner, None] + np.append(np.arange(-size, 0), (1, 2))]

@@ -107,8 +107,8 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
     """Returns True if white noise with the standard deviation `noise` would not stay within one count for `samples` samples: the
-    probability of staying is at most `chance`. A variance of 0.3 count² is not attributed to noise, because a channel that
-    alternates between two counts has such a variance even without noise."""
+    probability of staying is at most `chance`. A part of the variance, 0.3 count², is not attributed to noise, because a channel
+    that alternates between two counts has such a variance even without noise."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:
         return False

@@ -25,8 +25,8 @@ class Site:
     `geodetic_latitude`: latitude on the ellipsoid, rad, used for positions; None if the two latitudes are treated as equal. The
     difference between the two latitudes is the deviation of the vertical (Torge and Müller, Geodesy, 4th ed., 6.1). `longitude`:
     longitude, rad, positive to the east. `height`: height above the ellipsoid, m. Longitude and height are used only for
-    navigation. `magnetic_field`: the Earth's magnetic field in true East-North-Up, in the unit that the bench file states; None if
-    unknown.
+    navigation. `earth_rate`: rotation rate of the Earth, rad/s. `magnetic_field`: the Earth's magnetic field in true East-North-Up,
+    in the unit that the bench file states; None if unknown.
     """
 
     latitude: float

@@ -3,8 +3,8 @@ loop.
 
 Velocity v and attitude error ψ are written as complex numbers (east + i·north). A gyro error ε(t) and an accelerometer error b(t)
 in the navigation frame obey v′ = −i·g·ψ + b and ψ′ = ε − i·v/R (Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd
-ed., 12.3); therefore v″ + ω_s²·v = −i·g·ε + b′ with ω_s² = g/R. The Earth's rotation turns the plane of the free oscillation at the
-rate Ω·sin φ, as in Foucault's pendulum.
+ed., 12.3); therefore v″ + ω_s²·v = −i·g·ε + b′ with ω_s² = g/R, where g is gravity and R is the radius of the Earth. The Earth's
+rotation turns the plane of the free oscillation at the rate Ω·sin φ, as in Foucault's pendulum.
 """
 
 from __future__ import annotations

@@ -13,16 +13,16 @@ from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rock, Spin
 
 SHOWS_ANGLE = 1.0
-"""Gravity shows the angle of a turning table only if its amplitude along an accelerometer is at least this value [m/s²]. The
-amplitude that errors of an accelerometer or a tilt of the table cause once per turn is much smaller."""
+"""Gravity shows the angle of a turning table only if the component of gravity along an accelerometer varies once per turn with at
+least this amplitude [m/s²]. Errors of an accelerometer, or a tilt of the table, cause much smaller variations."""
 
 OFFSET = 0.1
 """Standard deviation of the constant error of an accelerometer in the search for the angle of a table, m/s². The value (10 mg)
 limits the error of the angle if the table covers only a small part of a turn."""
 
 FOREIGN = 3.0
-"""If the measured input once per turn is at least this many times as large as the expected input, it has another cause than the
-rotation of the Earth."""
+"""If the measured variation of the input once per turn is at least this many times as large as the expected variation, it has
+another cause than the rotation of the Earth."""
 
 
 class AngleFrom(StrEnum):

@@ -183,7 +183,7 @@ _TURNED = ("from", "rotate")
 
 @lru_cache(maxsize=1024)
 def _sound(words: tuple[tuple[str, object], ...]) -> Orientation | None:
-    """Returns the orientation that these words describe. If it is not valid, adds a finding and returns None."""
+    """Returns the orientation that these words describe. Returns None if they do not describe a valid orientation."""
     nowhere = Written("")
     entries = [(Scalar(key, key, nowhere), Scalar(str(word), str(word), nowhere)) for key, word in words]
     return _read_words(Mapping(tuple(entries), nowhere), Findings())

@@ -11,8 +11,8 @@ for_each: {temperature: [-40 degC, 20 degC]}
 for_each: {orientation: {P1: {x: up, y: north}, …}}     names become labels
 
 A label depends only on its value, never on the other values, so that adding, removing or splitting values renames no segment.
-References to labels, tables of recordings, and plans that a design has written therefore stay valid. Signs therefore follow one
-rule:
+References to labels, tables of recordings, and plans that a design has written therefore stay valid. For this reason, signs follow
+one rule:
 
 - a rate always has its sign, because the sign is the sense of rotation (`R+10`, `R-10`);
 - any other quantity has a sign only below zero, as engineers usually write it (`20degC`, `-40degC`);

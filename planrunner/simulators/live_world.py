@@ -1,7 +1,7 @@
 """Runs the virtual bench, with table, chamber and sensor, at a given multiple of real time.
 
-The whole simulation runs in one thread. Before the virtual world is changed, all recorders are brought up to date, so that a
-command does not affect earlier samples.
+The whole simulation runs in one thread. Before the virtual world is changed, all recorders (functions that make the samples up to
+the present time) are called, so that a command does not affect earlier samples.
 
 The sensor runs freely: each sample is made at the end of its interval, even if nobody reads it.
 """

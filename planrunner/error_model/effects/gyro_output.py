@@ -1,5 +1,5 @@
-"""Effects at a gyro's output. The effects of bandwidth, dead zone and limits are computed exactly for every value of their shape in the
-grid. Other effects of this module change only the noise."""
+"""Effects at a gyro's output. The effects of bandwidth, dead zone and limits are computed exactly for every value of their shape
+(the time constant, the dead zone, the limit) that a diagnosis tries. Other effects of this module change only the noise."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ class GyroAxisDelay:
 
 
 class GyroDeadZone(Shaped):
-    """Lock-in: an output y becomes 0 if |y| < d, otherwise sign(y)·√(y² − d²)."""
+    """Lock-in: an output y becomes 0 if |y| is below the threshold d, otherwise sign(y)·√(y² − d²)."""
 
     id, stage, shape_name, shape_unit = "gyro_dead_zone", "output", "d", "deg/s"
     about = About(
@@ -108,7 +108,7 @@ class GyroDeadZone(Shaped):
 
 
 class GyroSaturation(Shaped):
-    """Clips the output at ±limit."""
+    """Clips the output at the same limit in both directions."""
 
     id, stage, shape_name, shape_unit = "gyro_saturation", "output", "limit", "deg/s"
     about = About(
@@ -131,8 +131,8 @@ class GyroSaturation(Shaped):
 
 class _OneSided(Shaped):
     """Clips the output at one of its two limits. `sign`: 1 for the upper limit, −1 for the lower limit. The shape parameter is the
-    magnitude of this limit. A limit is in the grid only if the unclipped output exceeds its magnitude in both directions. For other
-    limits, the effect cannot be distinguished from `gyro_saturation`."""
+    magnitude of this limit. A diagnosis tries only limits whose magnitude the unclipped output exceeds in both directions. For
+    other limits, the effect cannot be distinguished from `gyro_saturation`."""
 
     stage, shape_unit, acts_on = "output", "deg/s", "output"
     sign: int
@@ -278,7 +278,8 @@ def _changed(
 
 
 class GyroBiasRandomWalk:
-    """Adds a random walk to the bias, beyond the declared noise, with the covariance q²·min(t, t') between the times t and t'."""
+    """Adds a random walk to the bias, beyond the declared noise, with the covariance q²·min(t, t') between the times t and t',
+    where q is the rate random walk coefficient."""
 
     id, stage, outside = "gyro_bias_random_walk", "covariance", "random walk"
     about = About(

@@ -1,5 +1,5 @@
 """Defines the interface of effects. An effect describes errors of a sensor or of its surroundings by columns over the samples of a
-recording.
+recording. A column contains the change of the outputs for a unit amplitude.
 
 An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds effects, the estimator
 `error_model` fits their amplitudes to the means of segments, and the diagnosis decides whether the data support them. An effect may
@@ -45,7 +45,8 @@ from planrunner.error_model.observed import Observed, TemperatureCourse
 class Column:
     """Describes one column of an effect, which is multiplied by one amplitude.
 
-    `magnitude`: prior scale of the amplitude in SI units, in comparison with the other columns of the effect.
+    `magnitude`: prior scale (typical size) of the amplitude in SI units. Only the ratios between the magnitudes of an effect's
+        columns matter, because a diagnosis fits their common size.
     `unit`: unit in which the amplitude is displayed.
     `factor`: SI value of `unit`.
     `parts`: maps the index of each affected channel to an array of shape (N,), the SI output for an amplitude of 1 in SI units.
@@ -240,10 +241,10 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
-    """Describes an effect that does not appear in the coefficients to which a diagnosis reduces a recording. Such an effect is an
-    effect on the noise, a line interference, or samples that repeat their values. A diagnosis searches for such an effect outside
-    the coefficients. An effect with the stage covariance has no columns at all. A line interference does have columns, but only a
-    simulation uses them."""
+    """Describes an effect that does not appear in the coefficients (means, slow changes and harmonics of segments) to which a
+    diagnosis reduces a recording. Such an effect is an effect on the noise, a line interference, or samples that repeat their
+    values. A diagnosis searches for such an effect outside the coefficients. An effect with the stage covariance has no columns at
+    all. A line interference does have columns, but only a simulation uses them."""
 
     outside: OutsideKind
 

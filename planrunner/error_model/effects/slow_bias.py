@@ -8,7 +8,8 @@ from planrunner.error_model.observed import Observed
 
 
 class AccelBiasRandomWalk:
-    """Adds a random walk to the bias of each accelerometer, with the covariance q²·min(t, t') between the times t and t'."""
+    """Adds a random walk to the bias of each accelerometer, with the covariance q²·min(t, t') between the times t and t', where q
+    is the coefficient of the random walk."""
 
     id, stage, outside, of_accelerometers, hypothesis = (
         "accel_bias_random_walk",
@@ -29,8 +30,8 @@ class AccelBiasRandomWalk:
 
 
 class _GaussMarkov:
-    """Adds a random process b to the bias of each axis, with the covariance σ²·exp(−|t − t'|/τ) (IEEE Std 952, annex C,
-    exponentially correlated noise)."""
+    """Adds a random process b to the bias of each axis, with the standard deviation σ, the correlation time τ, and the covariance
+    σ²·exp(−|t − t'|/τ) between the times t and t' (IEEE Std 952, annex C, exponentially correlated noise)."""
 
     stage, outside, hypothesis, shape_name, shape_unit = "covariance", "gauss-markov", False, "tau", "s"
 

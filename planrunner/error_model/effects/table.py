@@ -111,8 +111,8 @@ class TablePositionError:
 
 
 class TableRateRipple:
-    """Multiplies the rate of the table by 1 + a·cos(nθ + φ), with n = 1 or 2. The effect is a ripple with n periods per turn, which
-    the encoder does not show."""
+    """Multiplies the rate of the table by 1 + a·cos(nθ + φ), where θ is the angle of the table, and n is 1 or 2. The effect is a
+    ripple with n periods per turn, which the encoder does not show."""
 
     id, stage, shape_name, shape_unit = "table_rate_ripple", "stimulus", "n", "per turn"
     about = About(
@@ -149,7 +149,7 @@ class TableRateRipple:
 
 class TableWobble:
     """While the table turns, its attitude is (I + [δ×])·R(θ) with δ = a·(cos(θ + φ), sin(θ + φ), 0) in site axes; the rate changes
-    accordingly.
+    accordingly. R(θ) is the rotation of the table by its angle θ.
 
     With δ = R·δ₀, (I + [δ×])·R = R·(I + [δ₀×]). Seen from the turning table, the payload is tilted by the constant δ₀ = a·(cos φ,
     sin φ, 0). The whole stimulus of the sensor, including the rate of the table, is therefore rotated by −δ₀ in sensor axes.

@@ -1,4 +1,5 @@
-"""Computes Allan deviations of outputs at rest, and fits the noise coefficients Q, N, B, K of IEEE Std 952 to the Allan variance.
+"""Computes Allan deviations of outputs at rest, and fits the noise coefficients of IEEE Std 952 to the Allan variance: quantisation
+Q, angle random walk N, bias instability B, and rate random walk K.
 
 The module `phase` reads samples and treats gaps; `kernel` computes sums; `confidence` computes degrees of freedom and intervals;
 `fit` computes the coefficients; `lines` subtracts periodic disturbances.
@@ -351,7 +352,8 @@ def _hadamard(phase: Phase, chosen: Sequence[Deviation], parameters: AllanDeviat
 
 def _judge(result: _Result, found: DescribedRange, count: float) -> float:
     """Adds notes and warnings about the fitted range of averaging times. Returns the factor that widens the uncertainties if the
-    model does not describe any range of averaging times. `count`: count of the output, in its unit."""
+    model does not describe any range of averaging times. `count`: size of one count of the output, in the output's unit; 0 if the
+    values are not rounded."""
     name, drift = result.name, found.drift
     if drift is not None:
         result.notes.append(

@@ -81,7 +81,8 @@ def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modifie
     """Returns the equivalent degrees of freedom (EDF) of a variance that is computed with maximum overlap; 0 if the run is too
     short for a single difference.
 
-    `order`: 2 for Allan, 3 for Hadamard. `factor`: averaging factor. `points`: number of phase points of the run.
+    `alpha`: noise exponent α. `order`: 2 for Allan, 3 for Hadamard. `factor`: averaging factor. `points`: number of phase points of
+    the run. `modified`: True for the modified Allan variance, which averages the phase over each averaging time.
 
     The variance converges only for α > 1 − 2·order, so a smaller alpha counts as 2 − 2·order.
     """
@@ -114,7 +115,8 @@ def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modifie
 
 def freedom_of_runs(alpha: int, order: int, factor: int, lengths: Integers, modified: bool = False) -> float:
     """Returns the equivalent degrees of freedom (EDF) of a variance over several runs. `lengths`: number of phase points of each
-    run. Runs are independent of each other, so their degrees of freedom are added."""
+    run. Runs are independent of each other, so their degrees of freedom are added. The other arguments are described in
+    `degrees_of_freedom`."""
     sizes, counts = np.unique(lengths, return_counts=True)
     pairs = zip(sizes.tolist(), counts.tolist(), strict=True)
     return float(sum(count * degrees_of_freedom(alpha, order, factor, size, modified) for size, count in pairs))
@@ -122,7 +124,7 @@ def freedom_of_runs(alpha: int, order: int, factor: int, lengths: Integers, modi
 
 def _white_phase(order: int, factor: int, terms: int) -> float:
     """Returns the degrees of freedom for white phase noise. The differences of such noise are correlated only if they are a whole
-    number of averaging times apart."""
+    number of averaging times apart. `terms`: number of differences in the run."""
     binomials = [math.comb(2 * order, order + k) for k in range(order + 1)]
     total = binomials[0] ** 2 + 2 * sum(
         max(0.0, 1 - k * factor / terms) * binomials[k] ** 2 for k in range(1, order + 1)

@@ -90,8 +90,8 @@ def described_range(
     """Finds the averaging times that the noise model describes.
 
     `rows`: overlapping Allan deviations that have enough degrees of freedom. `hadamard`: a function that computes the Hadamard
-    deviations; it is called only if they are needed, because this takes time. `count`: count of the output, in its unit; 0 if it
-    has none.
+    deviations; it is called only if they are needed, because this takes time. `count`: size of one count of the output, in the
+    output's unit; 0 if the values are not rounded.
     """
     found = _described(phase, rows, terms, hadamard)
     skipped = _correlated_rounding(found.fit, rows, count) if phase.decimation == 1 else 0
@@ -103,8 +103,9 @@ def described_range(
 
 
 def _correlated_rounding(fit: NoiseFit, rows: Sequence[Deviation], count: float) -> int:
-    """Returns the number of short averaging times at which the correlation of rounding errors matters. It is 0 if the rounding
-    error is not carried over: then the output has no quantisation noise. With carried-over errors, Q²/τ0² is count²/12."""
+    """Returns the number of short averaging times at which the correlation of rounding errors matters. The number is 0 if the
+    rounding error of a sample is not carried over to the next sample, because the output then has no quantisation noise. If it is
+    carried over, Q²/τ0² is count²/12, where `count` is the size of one count of the output."""
     carried = count**2 / 12
     if not count or fit.squares[_QUANTISED] < carried / 2:
         return 0

@@ -51,8 +51,8 @@ class NoiseFit:
     `squares`: array of shape (4,), the estimates of Q²/τ0², N²/τ0, B² and K²·τ0 in the squared unit of the output, where τ0 is the
     time between phase points; 0 for omitted terms. An estimate may be negative if the output does not have this type of noise.
     Negative values are permitted, because a fit restricted to positive values would bias the other terms. `covariance`: array of
-    shape (4, 4), covariance of the squares. `fitted`: array of shape (k,), the variances according to the fitted model.
-    `chi_square`: χ² of the fit, with `freedom` degrees of freedom. `terms`: names of the fitted terms.
+    shape (4, 4), covariance of the squares. `fitted`: array of shape (k,), the variances at the k averaging times according to the
+    fitted model. `chi_square`: χ² of the fit, with `freedom` degrees of freedom. `terms`: names of the fitted terms.
     """
 
     squares: Array

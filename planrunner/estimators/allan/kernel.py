@@ -2,9 +2,10 @@
 
 The module is imported only where such sums are needed (see `planrunner.base.compiled`).
 
-For the overlapping sums, the record is read in short pieces, and each piece is used for all averaging times before the next piece
-is read. If the averaging times are octaves, each of them uses a piece that was already read for the previous one. Memory is
-therefore read once per octave instead of three times.
+For the overlapping sums, the record is processed in short pieces, and each piece is used for all averaging times before the next
+piece. A second difference needs three places of the record. If the averaging times are octaves, two of these places were already
+read for the previous averaging time and are still in the cache of the processor. Only one of the three is then read from the
+memory.
 """
 
 from __future__ import annotations

@@ -1,12 +1,14 @@
 """Finds periodic disturbances in a record at rest, and subtracts them from its phase.
 
-A periodic disturbance is a line in the spectrum. Its Allan variance is A²·sin⁴(πfτ)/(πfτ)² (IEEE Std 952, annex C), which no mixture
-of the four kinds of noise describes. A line with a constant frequency, amplitude and phase is determined far more accurately than
-the noise. Therefore, its subtraction leaves the noise as it was: of n samples, the subtraction takes up three degrees of freedom.
+A periodic disturbance is a line in the spectrum. Its Allan variance is A²·sin⁴(πfτ)/(πfτ)² (IEEE Std 952, annex C), which no
+mixture of the four kinds of noise describes. A line with a constant frequency, amplitude and phase is determined far more
+accurately than the noise. Therefore, its subtraction hardly changes the noise: it takes up only three of the n degrees of freedom
+of n samples.
 
-A line is a value of the periodogram that noise would exceed with the probability `CHANCE` only. The level of the noise is the
-median of the neighbouring values (exponential distribution: median = mean·ln 2). A vibration whose frequency or amplitude changes is
-not a line: after the largest lines are subtracted, other large values remain. Nothing is subtracted from such a record.
+A value of the periodogram counts as a line if noise alone would exceed it only with the probability `CHANCE`. The level of the
+noise is the median of the neighbouring values (exponential distribution: median = mean·ln 2). A vibration whose frequency or
+amplitude changes is not a line: after the largest lines are subtracted, other large values remain. Nothing is subtracted from such
+a record.
 """
 
 from __future__ import annotations
@@ -42,8 +44,8 @@ class SpectralLine:
 
 
 def without_lines(phase: Phase) -> tuple[Phase, tuple[SpectralLine, ...]]:
-    """Returns the phase without its lines, and the lines, largest first. If there are none, or if the disturbance is not
-    periodic, the phase itself is returned without lines."""
+    """Returns the phase after its lines have been subtracted, and the lines, largest first. If there are no lines, or if the
+    disturbance is not periodic, returns the phase unchanged, and an empty tuple."""
     runs: list[Array] = []
     found: list[SpectralLine] = []
     for run in phase.runs:
@@ -100,8 +102,9 @@ def _peak(values: Array) -> float | None:
 
 
 def _fitted(values: Array, turn: float) -> tuple[float, float, float]:
-    """Returns the angle per sample and the amplitudes with the least sum of squared residuals. `turn`: first guess, at most a
-    value of the periodogram away. The angle is improved by Gauss-Newton steps."""
+    """Returns the angle per sample and the amplitudes with the least sum of squared residuals. `turn`: first guess of the angle per
+    sample [rad], with an error of at most the distance between two frequencies of the periodogram. Gauss-Newton steps improve the
+    angle."""
     n = len(values)
     middle = np.arange(n) - (n - 1) / 2
     size = 0.25 * 2 * math.pi / n  # largest step
@@ -119,8 +122,8 @@ def _fitted(values: Array, turn: float) -> tuple[float, float, float]:
 
 
 def _waves(turn: float, n: int) -> Array:
-    """Returns a cosine and a sine, shape (n, 2). Their angle is zero in the middle, so that its error does not depend on that of
-    the phase."""
+    """Returns a cosine and a sine, shape (n, 2), whose angle advances by `turn` [rad] per sample. The angle is zero in the middle
+    of the samples, so that the errors of a fitted frequency and of a fitted phase are uncorrelated."""
     angle = turn * (np.arange(n) - (n - 1) / 2)
     return np.column_stack([np.cos(angle), np.sin(angle)])
 

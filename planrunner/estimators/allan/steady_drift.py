@@ -2,8 +2,8 @@
 
 The means of the two halves of a run differ by the drift during half the run, and by noise. The variance of this noise is twice the
 Allan variance at an averaging time of half the run. This Allan variance is computed from a fit to Hadamard variances, because a
-steady drift does not change them. The result is uncertain, mainly because the random walk is poorly known. The test therefore uses
-an upper bound of the variance, which is two standard uncertainties above the estimate.
+steady drift does not change them. The variance is uncertain, mainly because the random walk is poorly known. The test therefore
+uses an upper bound of the variance, which is two standard uncertainties above the estimate.
 """
 
 from __future__ import annotations

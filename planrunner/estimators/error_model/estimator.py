@@ -70,7 +70,8 @@ from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 WITHIN = "within segments"
-"""Label of the contrasts within segments, which are fitted together with the means of the segments."""
+"""Label of the contrasts within segments, which are fitted together with the means of the segments. A contrast is a weighted sum of
+the differences between samples and the mean of their segment (see `within`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -187,8 +187,8 @@ def changes_within(one: OutputErrors) -> bool:
 
 
 def with_shape(group: Together, k: int, part: EffectPart) -> Together:
-    """Returns a copy of the group in which the shape of one effect has another value. The effect belongs to the model of the k-th
-    output."""
+    """Returns a copy of the group in which the shape (such as the time constant) of one effect has another value. `part`: this
+    effect, with the new value. The effect belongs to the model of the k-th output."""
     old = group.outputs[k]
     errors = replace(old.errors, chosen=tuple(part if one.effect is part.effect else one for one in old.errors.chosen))
     (columns,) = replace(group.model, outputs=(errors,)).of_outputs()
@@ -333,8 +333,9 @@ def _sampled(
 
 
 def _as_if_held(segment: Segment) -> Segment:
-    """Returns a simplified segment for the computation of errors of the table and the site. A rocking table is treated like a table
-    at rest; in an unknown attitude, these errors have no influence."""
+    """Returns a simplified segment for the computation of errors of the table and the site. A table that rocks, or whose motion is
+    known only from the recording, is treated like a table at rest. If the attitude is unknown, it is set to zero, so that these
+    errors have no influence."""
     if not isinstance(segment.motion, Rock | RecordedMotion):
         return segment
     attitude = np.zeros((3, 3)) if segment.attitude is None else segment.attitude

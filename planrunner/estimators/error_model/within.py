@@ -6,10 +6,11 @@ the amplitudes are fitted linearly, so that the χ² of this fit is a function o
 Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At this minimum, the model y is
 linearised in amplitudes and shapes: J = ∂y/∂(amplitudes, shapes). A contrast is a weighted sum of the differences of the samples
 from the means of their segments. If the noise is white, all that the samples within the segments contribute to the fit is contained
-in a few contrasts, one for each column of J. Let JᵀJ = V·S·Vᵀ after the means have been subtracted from the columns of J. The
-contrasts S^(−1/2)·Vᵀ·Jᵀ·y then have the design matrix √S·Vᵀ, and their noise is uncorrelated with the standard deviation σ of the
-samples. The contrasts are added to the means of the segments as further observations of the generalised least-squares fit
-(`outputs_fit`). Drift, errors of the table and scatter between segments therefore act on the means as in every other fit.
+in a few contrasts, one for each column of J. After the means have been subtracted from the columns of J, let JᵀJ = V·S·Vᵀ be the
+eigendecomposition of JᵀJ, and z the samples. The contrasts S^(−1/2)·Vᵀ·Jᵀ·z then have the design matrix √S·Vᵀ, and their noise is
+uncorrelated with the standard deviation σ of the samples. The contrasts are added to the means of the segments as further
+observations of the generalised least-squares fit (`outputs_fit`). Drift, errors of the table and scatter between segments therefore
+act on the means as in every other fit.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ class Contrasts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithinFit:
-    """Contains the result of a fit of an output to its samples.
+    """Contains the result of a fit of an output to its samples in n segments.
 
     `amplitudes`: the p amplitudes of the fit: first the amplitudes of the model, then the shapes that are not discrete. `matrix`:
     array of shape (n, p), design matrix of the means, SI value per SI amplitude. `mean`: array of shape (n,), the observed means.
@@ -133,12 +134,10 @@ class WithinFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledOutput:
-    """The samples of one output.
-
-    `observed`: the stimulus at the samples, in the order of the segments. `values`: array of shape (N,), in the output's unit; None
-    for a schedule. `variance`: array of shape (n,), variance of one sample in each segment. `error`: array of shape (n,), standard
-    error of the mean of each segment. `gain`: True if the scale factor is among the amplitudes. `flicker`: declared bias
-    instability, in the output's unit.
+    """The N samples of one output in n segments. `observed`: the stimulus at the samples, in the order of the segments. `values`:
+    array of shape (N,), in the output's unit; None for a schedule. `variance`: array of shape (n,), variance of one sample in each
+    segment. `error`: array of shape (n,), standard error of the mean of each segment. `gain`: True if the scale factor is among the
+    amplitudes. `flicker`: declared bias instability, in the output's unit.
     """
 
     observed: Observed
@@ -562,7 +561,8 @@ def errors_of_phase(turning: Sequence[NDArray[np.complex128]]) -> Array:
     If c is the assumed input, and s the input a quarter of a turn later, the true input is c·cos φ + s·sin φ. The phase φ is
     uniformly distributed, and independent of the phases of other segments. The error c·(cos φ − 1) + s·sin φ therefore has the mean
     −c, and its two parts have the factors cos φ − 1 and sin φ, each with the variance 1/2. The second moments over all segments are
-    m·mᵀ + Σ (c·cᵀ + s·sᵀ)/2 with m = Σ c.
+    m·mᵀ + Σ (c·cᵀ + s·sᵀ)/2 with m = Σ c. In these sums over the segments, c and s of a segment are zero at the samples of the
+    other segments.
     """
     assumed, found = np.concatenate(turning), []
     first = 0
@@ -576,9 +576,9 @@ def errors_of_phase(turning: Sequence[NDArray[np.complex128]]) -> Array:
 
 
 def uneven_ratios(functionals: Array, left: Array, first: NDArray[np.int64], coloured: float) -> Array:
-    """Computes the ratio of each contrast's variance to the variance that white noise explains, shape (S,). The ratios are
-    estimated from the scatter of the segments' contributions to the contrasts. All ratios are 1 if white noise explains this
-    scatter, that is, if the scatter of all contrasts together is not significantly larger.
+    """Computes the ratio of each contrast's variance to the variance that white noise explains, shape (S,) for S contrasts. The
+    ratios are estimated from the scatter of the segments' contributions to the contrasts. All ratios are 1 if white noise explains
+    this scatter, that is, if the scatter of all contrasts together is not significantly larger.
 
     `functionals`: array of shape (S, N), orthonormal weights of the samples in each contrast. `left`: array of shape (N,),
     residuals divided by their noise. `first`: array of shape (n,), index of the first sample of each segment. `coloured`: ratio of

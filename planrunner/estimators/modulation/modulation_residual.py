@@ -2,10 +2,10 @@
 navigations with rotation.
 
 Each navigation is a `strapdown_navigation` estimate. The errors of the navigations over their common time give the ratio of CEP
-rates and the suppression of the position error. Over whole cycles, the part of the error that repeats with the cycle is separated
-and compared with a prediction. The prediction is computed from the declared constant errors, from the harmonics of the cycle, and
-from its residual, which is the part of an error that the cycle does not cancel. docs/rotation-cycles.md gives the theory and
-results.
+rates (CEP: circular error probable) and the suppression of the position error. Over whole cycles, the part of the error that
+repeats with the cycle is separated and compared with a prediction. The prediction is computed from the declared constant errors,
+from the harmonics of the cycle, and from the residual of the cycle, which is the part of an error that the cycle does not cancel.
+docs/rotation-cycles.md gives the theory and results.
 """
 
 from __future__ import annotations

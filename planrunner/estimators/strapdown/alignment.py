@@ -105,8 +105,9 @@ def align(
     start = coarse(mean[:3], mean[3:])
     turned = not isinstance(recorded.segment.motion, Rest)
     density = to_navigation(start, white**2)
-    # Where noise is far smaller than the gyros' constant errors (simulated data, quiet sensors), a filter that believes in the noise alone
-    # stops to follow them. A second one takes the errors that the gyros show for a random walk that grows as far meanwhile.
+    # If the noise is far smaller than the constant errors of the gyros (simulated data, quiet sensors), a filter that assumes only
+    # this noise stops following these errors. A second filter therefore adds a random walk that reaches the size of the observed
+    # gyro errors during the alignment.
     shown = density.copy()
     shown[:3, :3] += _rate_error(mean, site) ** 2 * seconds * np.eye(3)
     every = max(1, round(1 / reader.interval))

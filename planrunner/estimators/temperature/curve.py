@@ -4,11 +4,12 @@
     spline       natural cubic regression spline: straight beyond its ends, coefficients are its values at the knots (Hastie, Tibshirani
                  and Friedman, The Elements of Statistical Learning, 2nd ed., 5.2.1)
 
-The order is chosen by the errors of held-out values. All values at a temperature are held out together, never single values,
-because values at one temperature have common errors. The one-standard-error rule (Hastie et al., 7.10.1) starts from the curve with
-the smallest held-out error. The rule selects the simplest curve whose error exceeds this smallest error by at most the standard
-error of the smallest error. The number of coefficients is at most half of the number of temperatures, rounded up, because
-otherwise, with few temperatures, one of the many possible curves would fit by chance.
+The order is chosen by the errors of held-out values (cross-validation): the temperatures are divided into folds, and the values of
+each fold are predicted by a curve that is fitted to all other values. All values at a temperature belong to the same fold, because
+values at one temperature have common errors. The one-standard-error rule (Hastie et al., 7.10.1) starts from the curve with the
+smallest held-out error. The rule selects the simplest curve whose error exceeds this smallest error by at most the standard error
+of the smallest error. The number of coefficients is at most half of the number of temperatures, rounded up, because otherwise, with
+few temperatures, one of the many possible curves would fit by chance.
 
 If the data select the order, the usual interval is too narrow: terms that were not selected may still be as large as a standard
 deviation, and the usual interval ignores them. The uncertainty of a selected curve is therefore computed from the curve of the

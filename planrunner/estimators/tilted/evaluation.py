@@ -1,5 +1,5 @@
-"""Computes scale factors of tilted axes from means of segments. In each repeat, the output at rest is subtracted from the output at
-each rate, and the difference F_j − F_r is divided by the input of each axis. The results are then averaged over repeats and
+"""Computes scale factors of tilted axes from means of segments. In each repeat, the output at rest F_r is subtracted from the
+output F_j at each rate j, and the difference is divided by the input of each axis. The results are then averaged over repeats and
 compared between temperatures.
 
 The core of the module is one function of the recorded means and of the conditions of the recording. Uncertainties are derived from
@@ -26,7 +26,7 @@ K, F0, NONLINEARITY, ASYMMETRY, RESPONSE = range(len(QUANTITIES))
 
 @dataclass(frozen=True, slots=True)
 class TiltedConditions:
-    """States the conditions under which scale factors are computed.
+    """States the conditions under which scale factors are computed, for N segments.
 
     `axes`: the sensor axes with their directions. `commanded`: array of shape (N,) in rad/s, the table's rate in each segment.
     `along`: array of shape (N, 3), the rotation axis in the fixture's frame. `felt`: array of shape (N, 3) in rad/s, mean rate
@@ -51,7 +51,7 @@ class TiltedConditions:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Contains the data of n rates at one temperature; each rate is repeated q times.
+    """Contains the data of n rates at one temperature; each rate is repeated q times. The recording has N segments and m axes.
 
     `kelvin`: measured or planned temperature, K; NaN if neither is known. `spins`: array of shape (q, n), index of the segment of
     each repeat and rate. `rest`: array of shape (q, N), one row of weights for each repeat. The sum of the segment means with these
@@ -97,8 +97,8 @@ class TiltedResults:
     (q, m, 5) with the quantities of each repeat. `residuals`: for each temperature, an array (n, m) with the residuals averaged
     over the repeats. `repeatability`: array of shape (g, m), standard deviation of K divided by K; NaN for a single repeat.
     `coefficient`: array of shape (m,), slope of K as a function of temperature, divided by K at the reference temperature.
-    `sensitivity`: array of shape (m,), the largest |K_T − K_0|/(K_0·|T − T_0|). `coefficient` and `sensitivity` are NaN for a
-    single temperature.
+    `sensitivity`: array of shape (m,), the largest |K_T − K_0|/(K_0·|T − T_0|), where K_T is the scale factor at the temperature T,
+    and K_0 is the scale factor at the reference temperature T_0. `coefficient` and `sensitivity` are NaN for a single temperature.
     """
 
     means: Array

@@ -145,7 +145,7 @@ def open_bag(path: Path, name: str) -> BagFile:
 
 
 class _Source(Protocol):
-    """MessageBytes that can be read at any position. `size`: number of bytes."""
+    """A source of bytes that can be read at any position. `size`: number of bytes."""
 
     size: int
 

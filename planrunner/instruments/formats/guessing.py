@@ -727,9 +727,9 @@ def _time_of(
     """Describes the time in a column; None if no unit of time leads to a usual sample rate.
 
     `step`: median step of the column. `values`: first values of the column. `unit`: the unit that the file states apart from the
-    name. If a unit leads to a stated rate, or to a date in this
-    century, the unit is sure. A column of whole numbers may also be a counter of unknown frequency. The function assumes such a
-    counter if the file states the rate of its samples, and if each unit of time leads to a very different rate."""
+    name. If a unit leads to a stated rate, or to a date in this century, the unit is sure. A column of whole numbers may also be a
+    counter of unknown frequency. The function assumes such a counter if the file states the rate of its samples, and if each unit
+    of time leads to a very different rate."""
     if unit in _SCALES:
         return LikelyTime(column, unit, 1 / (step * _SCALES[unit]), None, wraps)
     whole, level = bool(np.all(values == np.round(values))), float(np.median(values))

@@ -5,7 +5,7 @@ and Δp be the differences from the reference temperature, the nominal supply vo
 specific force along the sensor's axes. The output is then
 
     y = K·(1 + δ + Σ κ_k·ΔT^k + κ_V·ΔV + κ_p·Δp)
-          · (u + a·|u|/2 + q₂·u² + q₃·u³ + s·f + b + Σ β_k·ΔT^k + β_V·ΔV + β_p·Δp + A·e^(−t/τ) + slow noise) + white noise,
+          · (u + a·|u|/2 + q₂·u² + q₃·u³ + s·f + b + Σ β_k·ΔT^k + β_V·ΔV + β_p·Δp + A·e^(−t/τ) + slow noise) + white noise.
 
 The output y is then limited to the output range and counted, or limited and rounded. `docs/virtual-sensors.md` names every
 coefficient. In this module, all coefficients are in SI units with radians.
@@ -42,8 +42,8 @@ class InertialAxis:
     `name`, `unit`: name and unit of the output. `direction`: array of shape (3,), unit vector along the axis in the sensor's frame.
     `nominal`: declared scale factor K, in the output's unit per SI input. `error`: relative scale-factor error δ. `step`: smallest
     step of a sample in `unit`, or size of a count in unit·s if `counted` is True. `white`: coefficient N of the white noise, SI·√s.
-    `walk`: coefficient K of the random walk, SI/√s. `warm_up`: amplitude A of the warm-up in SI units. `warm_up_time`: time
-    constant τ of the warm-up, s.
+    `walk`: coefficient of the random walk of the bias, SI/√s. `warm_up`: amplitude A of the warm-up in SI units. `warm_up_time`:
+    time constant τ of the warm-up, s.
     """
 
     name: str
