@@ -3,7 +3,7 @@ its shape), computes the evidence, and the fraction of the effect's energy that 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -481,12 +481,19 @@ class Weighing:
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
-    def projected(self, variants: Sequence[Variant]) -> tuple[list[Variant], list[Array]]:
-        """Returns the variants without their samples and, for each channel, the coefficients (M, P) of all their columns. Samples
-        are not stored, because the samples of all forms of all effects together would need many times the memory of the
-        recording."""
-        raw = coefficients_of(self.observed, self.spectrum, [c for variant in variants for c in variant.columns])
-        return [_without_samples(variant) for variant in variants], raw
+    def projected(self, groups: Iterable[Sequence[Variant]]) -> tuple[list[Variant], list[Array]]:
+        """Returns the variants of all groups without their samples and, for each channel, the coefficients (M, P) of all their columns.
+        Samples are not stored, because the samples of all forms of all effects together would need many times the memory of the
+        recording. If `groups` makes the groups one after the other, the samples of only one group are in memory at a time."""
+        variants: list[Variant] = []
+        blocks = [coefficients_of(self.observed, self.spectrum, ())]
+        for group in groups:
+            blocks.append(
+                coefficients_of(self.observed, self.spectrum, [c for variant in group for c in variant.columns])
+            )
+            variants += map(_without_samples, group)
+            del group  # before the next one is made
+        return variants, [np.hstack(channel) for channel in zip(*blocks, strict=True)]
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
         """Returns posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes. Mean and covariance are averaged over
@@ -501,11 +508,16 @@ class Weighing:
         away = means - mean
         return mean, np.tensordot(share, covariances, 1) + (share[:, None] * away).T @ away
 
+    def weigh_groups(self, groups: Iterable[Sequence[Variant]]) -> list[Weighed]:
+        """Does the same as `weigh` for the variants of all groups. The samples of only one group are in memory at a time, as in
+        `projected`."""
+        return self.weigh(*self.projected(groups))
+
     def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
         """Whitens variants (effects, each at one value of its shape) and evaluates them at every setting of the noise. `raw`:
         coefficients that `projected` has already computed, if any."""
         if raw is None:
-            variants, raw = self.projected(variants)
+            variants, raw = self.projected([variants])
         columns = [column for variant in variants for column in variant.columns]
         widths = [len(variant.columns) for variant in variants]
         bounds = np.concatenate(([0], np.cumsum(widths))).astype(int)

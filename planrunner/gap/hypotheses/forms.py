@@ -18,7 +18,7 @@ is infinite at its edge.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -55,17 +55,23 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
     forms: list[list[Variant]] = []
     blocks = []
     for way in ways:
-        forms.append([])
-        for few in way.groups(weighing.observed) if isinstance(way, Shaped) else [way.variants(weighing.observed)]:
-            without_samples, coefficients = weighing.projected(few)
-            forms[-1] += without_samples
-            blocks.append(coefficients)
+        without_samples, coefficients = weighing.projected(_groups(way, weighing.observed))
+        forms.append(without_samples)
+        blocks.append(coefficients)
     raw = [np.hstack(channel) for channel in zip(*blocks, strict=True)]
     weighed = iter(weighing.weigh([variant for form in forms for variant in form], raw))
     found = iter(
         [_candidate(weighing, way, [next(weighed) for _ in form]) for way, form in zip(ways, forms, strict=True)]
     )
     return [_likeliest([next(found) for _ in ways_of(effect)]) for effect in effects]
+
+
+def _groups(effect: Effect, observed: Observed) -> Iterator[Sequence[Variant]]:
+    """Yields the variants of an effect in groups (`Shaped.groups`). The variants of an effect without a shape are one group."""
+    if isinstance(effect, Shaped):
+        yield from effect.groups(observed)
+    else:
+        yield effect.variants(observed)
 
 
 def _likeliest(ways: Sequence[Candidate]) -> Candidate:
@@ -136,7 +142,7 @@ def _along_secants(
             effect.secant(amplitudes * size),
             weighing.seen(weighing.nominal_values([raw @ amplitudes for raw in best.raw])),
         )
-        coarse = [item for item in weighing.weigh(along.variants(seen)) if item.trace > 0]
+        coarse = [item for item in weighing.weigh_groups(along.groups(seen)) if item.trace > 0]
         if len(coarse) < 3:
             break
         again, value = _refined(weighing, along, coarse, seen)
@@ -157,8 +163,7 @@ def _resettled(
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         values = _together(weighing, effect, best, values)
         seen = weighing.seen(values)
-        forms = [effect.at(seen, float(value)) for value in effect.grid(seen)]
-        coarse = [item for item in weighing.weigh(forms) if item.can_be_seen]
+        coarse = [item for item in weighing.weigh_groups(effect.groups(seen)) if item.can_be_seen]
         if len(coarse) < 3:
             break
         again, value = _refined(weighing, effect, coarse, seen)
@@ -214,7 +219,7 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
         between = np.concatenate(
             [np.linspace(a, b, 6)[1:-1] for a, b in np.log([shapes[k : k + 2] for k in intervals])]
         )
-        new = weighing.weigh([effect.at(seen, float(np.exp(value))) for value in between])
+        new = weighing.weigh_groups([effect.at(seen, float(np.exp(value)))] for value in between)
         have |= {float(item.variant.shape or 0.0): item for item in new if item.kept > ABSORBED}
     shapes = np.array(sorted(have))
     place = np.interp(np.log(shapes), np.log(grid), np.linspace(0.0, 1.0, len(grid)))
@@ -252,11 +257,11 @@ def whole_forms(
     not known exactly."""
     found = _search(weighing.without_walks(), effect, near, columns)
     around = found.shape * np.exp(found.sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
-    variants = [effect.at(found.seen, float(value)) for value in around]
-    forms = weighing.weigh(variants)
+    variants, raw = weighing.projected([effect.at(found.seen, float(value))] for value in around)
+    forms = weighing.weigh(variants, raw)
     if max(_evidence(weighing, form) for form in forms) < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
         return []
-    each = np.array([_evidence(found.along, form) for form in found.along.weigh(variants)])
+    each = np.array([_evidence(found.along, form) for form in found.along.weigh(variants, raw)])
     share = np.exp(each - each.max())
     return list(zip(forms, (share / share.sum()).tolist(), strict=True))
 
@@ -406,7 +411,7 @@ def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: flo
         first = int(np.clip(np.searchsorted(new, np.log(near)), 2, len(new) - 2)) - 2
         new = new[first : first + 4]
     for _ in range(_ROUNDS):
-        weighed = weighing.weigh([effect.at(seen, float(np.exp(value))) for value in new])
+        weighed = weighing.weigh_groups([effect.at(seen, float(np.exp(value)))] for value in new)
         known |= {float(value): _evidence(weighing, item) for value, item in zip(new, weighed, strict=True)}
         place = np.array(sorted(known))
         evidence = np.array([known[value] for value in place])

@@ -261,10 +261,9 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
     """Computes the log Bayes factor of bursts in the channels of each scope, shape (scopes,); −∞ if the recording is too short for
     windows."""
     observed, found = weighing.observed, []
-    remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder) / (
-        weighing.white * np.sqrt(weighing.noise.level[observed.owner])
-    )
-    sums = _summed(remainder), _summed(remainder**2)
+    remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder)
+    remainder /= (weighing.white * np.sqrt(weighing.noise.level))[observed.owner]
+    sums = _summed(remainder), _summed(np.square(remainder, out=remainder))
     within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
     inefficiency = np.maximum(weighing.noise.inefficiency, _of_short_windows(weighing, sums, within))
     for length in LENGTHS:
@@ -288,7 +287,9 @@ def _of_short_windows(weighing: Weighing, both: tuple[Array, Array], within: Map
 
 def _summed(values: Array) -> Array:
     """Returns the cumulative sums of the samples, shape (N + 1, K). The first sum is zero."""
-    return np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])
+    out = np.zeros((len(values) + 1, values.shape[1]))
+    np.cumsum(values, axis=0, out=out[1:])
+    return out
 
 
 def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
