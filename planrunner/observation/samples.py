@@ -1,23 +1,39 @@
-"""Makes the input of a diagnosis: an `Observed` with all samples of a run and their planned states."""
+"""Makes the input of a diagnosis: an `Observed` with all samples of a run and the states of the sensor during the run.
+
+The motion of a segment has one of three sources. `observed` takes the motion from the plan. If no plan commands the motion,
+`observed` computes it from channels of the recording, which the plan names (`recorded_course`). If the sensor is turned by hand and
+is at rest in unknown orientations (poses), `poses` uses only the magnitude |f| = g of the specific force.
+
+The readings in a pose are a = M·f + b + noise. The two components of the readings that are perpendicular to f determine only the
+unknown orientation. One observation per sample remains: the component along u = f/g,
+
+    u·a = g + u·b + g·uᵀ(M − 1)u + noise.
+
+Errors that rotate f (a tilt, an azimuth, a rotation of the whole triad) can therefore not be observed. Only three sums of two
+misalignments can be observed, for example the sum of x toward y and y toward x. These sums are the non-orthogonalities. The
+direction u is found from the mean of the pose and the fitted nominal model by Gauss-Newton steps. If an effect of relative size δ
+is not in the nominal model, it rotates u by at most δ, which changes u·a only by g·δ²/2.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment, in_time_order
 from planrunner.base.arrays import Array
+from planrunner.base.dataclass import dataclass
 from planrunner.base.findings import closest
 from planrunner.error_model.observed import KINDS, Channel, Observed, ObservedSegment, channel_of, joined
 from planrunner.instruments.models import NoiseModel, SensorModel
-from planrunner.observation.bins import SQUARED, Averaged, bins_of, sizes
+from planrunner.observation.bins import SQUARED, Averaged, bins_of, seen_along, sizes
 from planrunner.observation.bins import averaged as in_bins
-from planrunner.observation.moved import recorded_course, supposed_course
 from planrunner.observation.refusals import ObservationError
 from planrunner.observation.surroundings import Monitors, changes, settled, temperature_of
 from planrunner.physics.earth import Site
-from planrunner.physics.moved_body import BodyMotion, averaged
+from planrunner.physics.moved_body import BodyMotion, averaged, by_attitude, by_force, by_rates, slope
 from planrunner.physics.sampled_motion import (
     OFFSET,
     AngleFrom,
@@ -318,3 +334,256 @@ def _averaged(
 def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array]) -> Array:
     scale = unit(item.units[name])
     return np.asarray(table[name] * scale.factor + scale.offset)
+
+
+_AVERAGED = 10  # samples of an angle or an attitude, by default
+_GAP = 3.0  # times the median interval: a longer one is a gap, next to which there are no differences
+_SUPPOSED = 100.0  # deg/s
+_UNIT = 0.05  # deviation of the norm of a quaternion from 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionShown:
+    """A motion that recorded channels show.
+
+    `table`: angle, rate and acceleration of an axis with an encoder, an array of shape (n,) each; zero without an encoder.
+    `course`: the motion if channels other than an encoder show it; None if an encoder shows it. `averaging`: number of consecutive
+    samples that are averaged. `usable`: array of shape (n,), True for samples with neighbours on both sides. `differences`: True if
+    the rate at a sample is computed from the difference between its two neighbours.
+    """
+
+    table: Mapping[str, Array]
+    course: BodyMotion | None
+    averaging: int
+    usable: NDArray[np.bool_]
+    differences: bool = False
+
+    def as_shown(self, values: Array) -> Array:
+        """Averages outputs (n, k) in the same way as the motion. If rates are computed from differences, the outputs are averaged
+        by Simpson's rule over the interval of each difference. A fast motion is then attenuated in the outputs as it is in the
+        reference."""
+        if not self.differences:
+            return values
+        found = values.copy()
+        found[1:-1] = (values[:-2] + 4 * values[1:-1] + values[2:]) / 6
+        return found
+
+
+def recorded_course(
+    motion: RecordedMotion, attitude: Array | None, site: Site, time: Array, shown: Mapping[str, Array]
+) -> MotionShown:
+    """Computes the motion at n samples from recorded channels.
+
+    `attitude`: attitude of the sensor at the first sample of the segment. `time`: array of shape (n,) in s. `shown`: the values
+    (n,) of each channel, SI.
+
+    Raises `ObservationError` if the motion cannot be computed from these channels.
+    """
+    step = float(np.median(np.diff(time)))
+    size = max(1, round(motion.averaging / step)) if motion.averaging else 1
+    if not motion.averaging and (motion.angle or motion.attitude):
+        size = _AVERAGED
+    near = np.diff(time) < _GAP * step
+    usable = np.append(near, True) & np.append(True, near)
+    zero = np.zeros(len(time))
+    still = {"angle": zero, "rate": zero, "acceleration": zero}
+    force = _stacked(motion.forces, shown)
+    if motion.angle or motion.attitude:
+        usable[[0, -1]] = False
+    if motion.angle:
+        if attitude is None:
+            message = (
+                "the orientation at angle zero is unknown, so the input of the sensor cannot be computed from the angle"
+            )
+            raise ObservationError(message, "state the `orientation` of the segment, or give `rates`")
+        angle = np.unwrap(shown[motion.angle])
+        rate = slope(time, angle)
+        return MotionShown({"angle": angle, "rate": rate, "acceleration": slope(time, rate)}, None, size, usable, True)
+    quaternions, rates = _stacked(motion.attitude, shown), _stacked(motion.rates, shown)
+    if quaternions is not None:
+        norm = np.linalg.norm(quaternions, axis=1)
+        if np.abs(norm - 1).max() > _UNIT:
+            message = f"the norm of the attitude quaternion goes from {norm.min():.3g} to {norm.max():.3g}, not 1"
+            raise ObservationError(message, "check the channels of `attitude` in the plan, and their columns")
+        course = by_attitude(time, quaternions, site, force)
+    elif rates is not None:
+        course = by_rates(time, rates, attitude, site, force)
+    else:
+        assert force is not None
+        course = by_force(force)
+    return MotionShown(still, course, size, usable, bool(motion.attitude))
+
+
+def supposed_course(time: Array, site: Site) -> MotionShown:
+    """Returns an assumed motion about all axes, for a segment that has not been recorded yet. The motion is chosen such that every
+    effect can act. Numbers that are reported must not depend on this motion."""
+    since = time - time[0]
+    rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))
+    zero = np.zeros(len(time))
+    course = by_rates(time, rates, np.eye(3), site)
+    return MotionShown({"angle": zero, "rate": zero, "acceleration": zero}, course, 1, zero == 0)
+
+
+def _stacked(names: tuple[str, ...], shown: Mapping[str, Array]) -> Array | None:
+    """Returns the named channels as columns (n, k); None if no channels are named."""
+    return np.column_stack([shown[name] for name in names]) if names else None
+
+
+_STEPS = 20
+_ONE_DIRECTION = 0.9998  # cosine of 1.1 deg
+_PAIRS = ((0, 1), (0, 2), (1, 2))
+
+
+def unknown_orientations(recording: Sequence[RecordedSegment]) -> bool:
+    """Returns True if all segments are at rest in unknown orientations. Segments whose motion is recorded need no orientation.
+
+    Raises `ObservationError` if only some of the segments are in unknown orientations, or if a segment in an unknown orientation
+    moves."""
+    unknown = [
+        item.label
+        for item in recording
+        if item.segment.attitude is None and not isinstance(item.segment.motion, RecordedMotion)
+    ]
+    if not unknown:
+        return False
+    if len(unknown) < len(recording):
+        message = f"the orientation of segment '{unknown[0]}' is unknown, but other segments have known orientations"
+        raise ObservationError(f"{message}: choose segments of one kind with `segments` under `diagnosis` in the plan")
+    moving = [item.label for item in recording if not isinstance(item.segment.motion, Rest)]
+    if moving:
+        raise ObservationError(
+            f"segment '{moving[0]}' moves in an unknown orientation: give the orientation of the sensor"
+        )
+    return True
+
+
+def poses(
+    recording: Sequence[RecordedSegment],
+    site: Site,
+    sensor: SensorModel,
+    nominal: Sequence[str],
+    *,
+    only: Collection[str] | None = None,
+) -> Observed:
+    """Makes the input of a diagnosis from recorded poses. There is one channel `accel`, the reading of the accelerometers along
+    gravity.
+
+    `nominal`: terms that the nominal simulation fits; they are used to find the directions of gravity. Gyros are left out, because
+    at rest in an unknown orientation they show only a bias. Raises `ObservationError` if there is no complete triad of
+    accelerometers, or if the readings are not near a sphere.
+    """
+    recording = in_time_order(recording)
+    found = [channel for channel in channels_of(recording[0], sensor, only) if channel.kind == "accel"]
+    triad = {channel.axis: channel for channel in found}
+    if len(found) != 3 or len(triad) != 3:
+        message = f"orientations are unknown, and only {len(found)} accelerometers are recorded"
+        raise ObservationError(
+            f"{message}: a pose gives information only through |f| = g, which needs all of x, y and z"
+        )
+    names = [triad[axis].name for axis in range(3)]
+    factors = np.array([triad[axis].factor for axis in range(3)])
+    size = sizes(recording)
+    rows = [
+        rows_of(item, [triad[axis] for axis in range(3)], size=None if size is None else int(size[index]))
+        for index, item in enumerate(recording)
+    ]
+    time = [part.time for part in rows]
+    samples = [np.column_stack([part.table[name] for name in names]) * factors for part in rows]
+    warm = [temperature_of(item, part.time, None) for item, part in zip(recording, rows, strict=True)]
+    directions = directions_of(np.array([part.mean(axis=0) for part in samples]), site.gravity, nominal)
+    white = np.array([triad[axis].white for axis in range(3)])
+    noise = np.sqrt(directions**2 @ white**2)
+    level = float(noise.mean())
+    # Noise differs between axes and hence between poses: each pose is scaled to the mean level.
+    along = directions * (level / noise if level > 0 else np.ones(len(noise)))[:, None]
+    segments = []
+    for item, now, taken, felt, direction, weight in zip(
+        recording, time, samples, warm, directions, along, strict=True
+    ):
+        still = np.zeros(len(now))
+        segments.append(
+            ObservedSegment(
+                item.label, item.segment.motion, _attitude(direction), now, still, still, still, felt.celsius, felt.rate,
+                (taken @ weight)[:, None],
+            )
+        )  # fmt: skip
+    return joined(
+        site,
+        (Channel("accel", "accel", 0, triad[0].unit, triad[0].factor, level),),
+        segments,
+        rejected=sum(part.rejected for part in rows),
+        along=along,
+        bins=None if size is None else seen_along(bins_of(size, rows), along),
+    )
+
+
+def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array:
+    """Finds the directions of the specific force in the sensor's axes while the nominal model is fitted to the mean readings. The
+    readings [m/s²] and the directions have the shape (S, 3).
+
+    Raises `ObservationError` if the fit does not converge.
+    """
+    bias, matrix = np.zeros(3), np.eye(3)
+    for _ in range(_STEPS):
+        force = np.linalg.solve(matrix, (means - bias).T).T
+        size = np.linalg.norm(force, axis=1)
+        if not np.isfinite(size).all() or size.min() < 0.1 * gravity:
+            break
+        unit: Array = force / size[:, None]
+        columns = _columns(unit, gravity, nominal)
+        if not columns.shape[1]:
+            return unit
+        left = np.einsum("si,si->s", unit, means - bias - gravity * unit @ matrix.T)
+        step = np.linalg.lstsq(columns, left, rcond=1e-9)[0]
+        more_bias, more_matrix = _changed(step, nominal)
+        bias, matrix = bias + more_bias, matrix + more_matrix
+        if np.abs(columns @ step).max() < 1e-9 * gravity:
+            return unit
+    lengths = np.linalg.norm(means, axis=1, keepdims=True)
+    if (
+        np.isfinite(means).all()
+        and lengths.min() > 0
+        and (means @ means[0] > _ONE_DIRECTION * (lengths * lengths[0]).ravel()).all()
+    ):
+        raise ObservationError(
+            "the sensor has the same direction to gravity in all segments, and their orientations are unknown: state the "
+            "orientation and the rate of each segment, or record poses in other directions"
+        )
+    raise ObservationError(
+        "the readings of the poses are not close to a sphere of radius g: check the unit of the channels, and whether "
+        "the sensor was still"
+    )
+
+
+def _columns(unit: Array, gravity: float, nominal: Sequence[str]) -> Array:
+    """Returns one column for each parameter of the terms in `nominal`: bias, scale factors and non-orthogonalities. A column
+    contains the changes of the reading along `unit` (S, 3) per unit of the parameter."""
+    parts = [np.empty((len(unit), 0))]
+    if "accel_bias" in nominal:
+        parts.append(unit)
+    if "accel_scale_factor" in nominal:
+        parts.append(gravity * unit**2)
+    if "accel_misalignment" in nominal:
+        parts.append(np.column_stack([2 * gravity * unit[:, i] * unit[:, j] for i, j in _PAIRS]))
+    return np.hstack(parts)
+
+
+def _changed(step: Array, nominal: Sequence[str]) -> tuple[Array, Array]:
+    """Converts a step in the parameters of `_columns` to changes of the bias (3,) and of the matrix (3, 3)."""
+    bias, matrix, left = np.zeros(3), np.zeros((3, 3)), list(step)
+    if "accel_bias" in nominal:
+        bias, left = np.array(left[:3]), left[3:]
+    if "accel_scale_factor" in nominal:
+        matrix, left = np.diag(left[:3]), left[3:]
+    if "accel_misalignment" in nominal:
+        for (i, j), value in zip(_PAIRS, left, strict=True):
+            matrix[i, j] = matrix[j, i] = value
+    return bias, matrix
+
+
+def _attitude(up: Array) -> Array:
+    """Returns an attitude (3, 3) whose vertical has the direction `up` in sensor axes; its azimuth is arbitrary."""
+    helper = np.eye(3)[int(np.argmin(np.abs(up)))]
+    east = np.cross(helper, up)
+    east /= np.linalg.norm(east)
+    return np.column_stack([east, np.cross(up, east), up])

@@ -318,9 +318,8 @@ def corrected_observation(
     """Does the same as `observe`, but also returns the wrong declarations that were corrected."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.gap.hypotheses.declarations import corrected
-    from planrunner.observation.poses import poses, unknown_orientations
     from planrunner.observation.refusals import ObservationError
-    from planrunner.observation.samples import observed
+    from planrunner.observation.samples import observed, poses, unknown_orientations
 
     sound, used = recorded.sound, _outputs(recorded.sound.plan)
     if sound.sensor.stabilised:

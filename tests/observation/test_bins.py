@@ -18,8 +18,7 @@ from planrunner.gap.hypotheses.candidates import FULL, Weighing, nominal_columns
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.observation import bins
-from planrunner.observation.poses import poses
-from planrunner.observation.samples import observed
+from planrunner.observation.samples import observed, poses
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, SITE, Fault, G, record
 

@@ -16,8 +16,8 @@ from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.hypotheses.candidates import FULL
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
-from planrunner.observation.poses import directions_of, poses, unknown_orientations
 from planrunner.observation.refusals import ObservationError
+from planrunner.observation.samples import directions_of, poses, unknown_orientations
 from planrunner.physics.earth import Site
 from planrunner.plan.schedule import Motion, Rest, Segment, Spin
 
