@@ -160,7 +160,8 @@ def fitted_drift(
 
     `names`: names of the p terms. `correlation`: array of shape (m, m), correlation between the noise of the outputs. `fits`: a
     function that fits all outputs with the columns of a given matrix (as `joined` returns it), with weights from the noise and the
-    declared effects. `basis`: kind of uncertainty, residual or within_segment.
+    declared effects. `basis`: kind of uncertainty, residual or within_segment. `matrix`: array of shape (n, p), the columns of the
+    terms. `magnitudes`: array of shape (p,), declared magnitudes of these columns.
     """
     if not drift.courses:
         return NOTHING_FITTED
@@ -230,7 +231,8 @@ def _doubted(
 ) -> tuple[DoubtedDrift, ...]:
     """Returns a `DoubtedDrift` if the drift function, which is not fitted, may be real: if the `probability` that chance explains
     the data is below `DOUBTED`, and a fit with the drift function has fewer than `FEW` degrees of freedom. Otherwise, returns an
-    empty tuple. `plain`: the fits of the outputs without the drift function."""
+    empty tuple. `plain`: the fits of the outputs without the drift function. `matrix`: array of shape (n, p), the columns of the
+    terms."""
     found = fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()
@@ -248,7 +250,7 @@ def _hidden(
 ) -> tuple[DoubtedDrift, ...]:
     """Makes a `DoubtedDrift` for each recorded temperature that changed and that the segments can hardly separate from a
     coefficient. A temperature is left out if it cannot be separated at all, or if it is proportional to a doubted drift function.
-    `plain`: the fits of the outputs without a drift."""
+    `plain`: the fits of the outputs without a drift. `matrix`: array of shape (n, p), the columns of the terms."""
     return tuple(
         DoubtedDrift(
             one.course,
@@ -284,7 +286,8 @@ def _not_corrected(
 
 
 def _taken(before: Sequence[LinearFit], after: Sequence[LinearFit]) -> Array:
-    """Returns the fraction of the sum of squared residuals that additional columns explain, shape (m,)."""
+    """Returns the fraction of the sum of squared residuals that additional columns explain, shape (m,) for m outputs. `before`,
+    `after`: the fits without and with these columns."""
     left, all_ = (np.array([one.chi_squared for one in each]) for each in (after, before))
     return 1 - left / np.where(all_ > 0, all_, 1.0)
 
@@ -298,7 +301,8 @@ def _criterion(found: Sequence[LinearFit], n: int) -> float:
 
 def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[LinearFit, ...]:
     """Returns the fits of m outputs with an additional column, which is the square of the output's fitted values. The result is
-    empty if the terms can reproduce this column for one of the outputs."""
+    empty if the terms can reproduce this column for one of the outputs. `matrix`: array of shape (n, p), the columns of the
+    terms."""
     found = []
     for k, one in enumerate(plain):
         fitted = matrix @ one.coefficients
@@ -316,7 +320,8 @@ def _next(
 ) -> tuple[DriftCourse, ...]:
     """Returns the drift functions that may be added: the lowest missing power of the time, and the missing temperatures. A drift
     function is left out if the terms and the chosen drift functions can reproduce it, or if too few degrees of freedom would
-    remain."""
+    remain. `matrix`: array of shape (n, p), the columns of the terms. `magnitudes`: array of shape (p,), their declared magnitudes.
+    `outputs`: number of outputs."""
     base, names = joined(matrix, chosen), {course.name for course in chosen}
     allowed = [one for one in drift.courses if not drift.shown or one.name in drift.shown]
     missing = [course for course in allowed if course.name not in names]
@@ -359,7 +364,8 @@ def _suspected(
     fits: Fits,
 ) -> tuple[SuspectedDrift, ...]:
     """Returns the suspected drift functions. This function is used if no drift function is adopted. `hinted`: the most likely of
-    the tested drift functions, and the probability that chance alone gives its amplitude."""
+    the tested drift functions, and the probability that chance alone gives its amplitude. `matrix`: array of shape (n, p), the
+    columns of the terms. `magnitudes`: array of shape (p,), their declared magnitudes."""
     found = []
     for course in drift.courses:
         probability = hinted[1] if hinted is not None and hinted[0] is course else 1.0
@@ -375,7 +381,8 @@ def _affected(
     matrix: Array, magnitudes: Array, names: Sequence[str], course: DriftCourse, fits: Fits
 ) -> tuple[SuspectedDrift, float]:
     """Returns the coefficient that a drift function affects most, and the largest change of any coefficient in units of its
-    standard uncertainty."""
+    standard uncertainty. `matrix`: array of shape (n, p), the columns of the terms. `magnitudes`: array of shape (p,), their
+    declared magnitudes."""
     n, p = matrix.shape
     before = fits(matrix)
     spreads = np.array([np.sqrt(np.diag(one.cofactor)) for one in before])
@@ -401,7 +408,8 @@ def _chance(
 ) -> float:
     """Returns the probability that chance alone reduces χ² as much as the drift function does, in one output or in all outputs
     together (F-tests, Bonferroni's bound). Outputs with correlated noise count as fewer outputs, according to Satterthwaite's
-    formula."""
+    formula. `before`, `after`: the fits without and with the drift function. `correlation`: array of shape (m, m), correlation
+    between the noise of the outputs."""
     from scipy.special import fdtrc
 
     r, left = course.columns.shape[1], after[0].degrees_of_freedom
@@ -443,7 +451,8 @@ def _probability_of_residuals(found: Sequence[LinearFit], noises: Sequence[Withi
 
 
 def _is_rounding(matrix: Array, course: DriftCourse, after: Sequence[LinearFit]) -> bool:
-    """Returns True if the fitted drift function changes the observations by no more than rounding errors."""
+    """Returns True if the fitted drift function changes the observations by no more than rounding errors. `matrix`: array of shape
+    (n, p), the columns of the terms. `after`: the fits with the drift function."""
     p, r = matrix.shape[1], course.columns.shape[1]
     for one in after:
         moved = np.max(np.abs(course.columns @ one.coefficients[-r:]))

@@ -115,7 +115,7 @@ class _Design:
     @classmethod
     def of(cls, block: DesignBlock, planned: Sequence[Segment], orders: int) -> _Design | None:
         """Returns the design for a block, or None if the times of the segments are not planned, or if the terms cannot be separated
-        even without a drift."""
+        even without a drift. `orders`: number of powers of the time in the drift."""
         if any(segment.dwell is None for segment in planned) or len(block.labels) < 2:
             return None
         place = {segment.label: row for row, segment in enumerate(planned)}
@@ -216,8 +216,9 @@ def _proposal(designs: Sequence[_Design]) -> str:
 
 
 def _reordered(designs: Sequence[_Design]) -> tuple[NDArray[np.int64], float] | None:
-    """Returns a better order of the segments, and the largest growth factor in this order; None if the segments cannot be exchanged
-    freely. In each step, the search exchanges the two segments whose exchange reduces the largest growth factor most."""
+    """Returns a better order of the segments as an array of indices, and the largest growth factor in this order; None if the
+    segments cannot be exchanged freely. In each step, the search exchanges the two segments whose exchange reduces the largest
+    growth factor most."""
     one = designs[0]
     same = all(other.block.labels == one.block.labels for other in designs)
     alike = np.ptp(one.seconds[one.rows]) < 1e-6 and len({segment.temperature for segment in one.segments}) == 1

@@ -181,7 +181,7 @@ def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Pose
 
 
 def _along(about: Sequence[float]) -> Array:
-    """Returns an attitude whose z axis is the given direction."""
+    """Returns an attitude (3, 3) whose z axis is the direction `about`."""
     z = np.asarray(about, dtype=float) / np.linalg.norm(about)
     x = np.eye(3)[int(np.abs(z).argmin())]
     x = x - (x @ z) * z

@@ -65,7 +65,8 @@ def fit_positions(
     """Fits outputs with a linear model. `recorded`: the recorded segments from which the observations come.
 
     The effect of the table's errors on an output depends on the coefficients of this output, so a first fit without these errors
-    gives approximate coefficients. Raises `EstimationError` if the plan or the data are not suitable.
+    gives approximate coefficients. Raises `EstimationError` if the plan or the data are not suitable. `pooled`: True if one
+    variance factor applies to all outputs.
     """
     parameters = request.parameters
     model, matrix, magnitudes = design.model, design.matrix, design.magnitudes

@@ -102,7 +102,8 @@ def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
 def _global(
     limit: Limit, coefficient: Coefficient, tolerance: tuple[float, float], acceptance: tuple[float, float]
 ) -> GlobalRisk:
-    """Returns the global risks of the decision rule; NaN if the limit states no prior, or if the uncertainty is not known."""
+    """Returns the global risks of the decision rule; NaN if the limit states no prior, or if the uncertainty is not known.
+    `tolerance`: lower and upper limit. `acceptance`: lowest and highest value that is accepted."""
     if limit.prior is None or not math.isfinite(coefficient.standard_uncertainty):
         return GlobalRisk(math.nan, math.nan)
     if not limit.prior.standard_uncertainty:

@@ -220,7 +220,8 @@ class OutputsFit:
 
 def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> Array:
     """Fits every observed channel with weights that come only from the noise within the segments. Returns the coefficients, shape
-    (m, p). Raises `EstimationError` if the plan or the data are not suitable."""
+    (m, p). Raises `EstimationError` if the plan or the data are not suitable. `matrix`: array of shape (n, p), design matrix.
+    `magnitudes`: array of shape (p,), magnitudes of its columns."""
     sigma = np.array([within_segment_noise(observations, k).sigma for k in range(len(observations.channels))])
     return _coefficients(
         matrix, observations.mean.T, sigma / sigma.max(axis=1, keepdims=True), magnitudes, tuple(names)
@@ -229,8 +230,9 @@ def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes:
 
 @kept(64)
 def _coefficients(matrix: Array, observed: Array, weights: Array, magnitudes: Array, names: tuple[str, ...]) -> Array:
-    """Fits the coefficients (m, p) of outputs (m, n). `weights`: array of shape (m, n), standard deviations of the noise, of which
-    only the proportions matter."""
+    """Fits the coefficients (m, p) of the outputs `observed` (m, n). `matrix`: array of shape (n, p), design matrix. `weights`:
+    array of shape (m, n), standard deviations of the noise, of which only the proportions matter. `magnitudes`: array of shape
+    (p,), magnitudes of the columns."""
     return np.array([one.coefficients for one in least_squares.fit_each(matrix, observed, weights, magnitudes, names)])
 
 
@@ -257,6 +259,7 @@ def fit_outputs(
 
     `equal`: True if all segments have the same weight. `drift`: the drift functions (powers of the time or recorded temperatures)
     that are fitted too, either always or only if the data show them. `unstated`: effects of unknown size, which are not fitted.
+    `matrix`: array of shape (n, p), design matrix. `magnitudes`: array of shape (p,), magnitudes of its columns.
     """
     m = len(observations.channels)
     noises = [within_segment_noise(observations, k) for k in range(m)]
@@ -383,7 +386,8 @@ class _Weighting:
 
     def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
         """Returns the degrees of freedom of the mean of the outputs' variance factors. The degrees of freedom are chosen so that a
-        χ² variable has the same mean and variance (Satterthwaite)."""
+        χ² variable has the same mean and variance (Satterthwaite). `correlation`: array of shape (m, m), correlation between the
+        noise of the outputs."""
         m, p, n = found.gains.shape
         if found.whitening is None:
             return float((n - p) * m**2 / np.sum(correlation**2))

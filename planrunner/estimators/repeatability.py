@@ -207,8 +207,8 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
 
 
 def _grouped(names: Sequence[str], groups: Mapping[str, Sequence[str]], labels: bool) -> NDArray[np.int64]:
-    """Returns the indices of the groups to which the names belong. Raises `EstimationError` for a name that belongs to no group or
-    to two groups, and for an empty group."""
+    """Returns the index of the group to which each name belongs, shape (n,). `labels`: True if the names are labels of segments.
+    Raises `EstimationError` for a name that belongs to no group or to two groups, and for an empty group."""
     number = np.zeros(len(names), dtype=np.int64)
     if not groups:
         return number
@@ -354,7 +354,7 @@ def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float
 
 def _interval_of_sum(terms: Sequence[float], freedom: Sequence[float]) -> tuple[float, float]:
     """Returns the confidence interval, with the confidence level `PROBABILITY`, of a sum of independent mean squares, each
-    multiplied by a positive factor (Graybill and Wang)."""
+    multiplied by a positive factor (Graybill and Wang). `terms`: the mean squares, multiplied by their factors."""
     low, high = 0.0, 0.0
     for term, own in zip(terms, freedom, strict=True):
         below, above = deviation_interval(1.0, own)

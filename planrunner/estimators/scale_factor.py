@@ -292,9 +292,9 @@ def _common(
         return ()
 
     def answered(moved: Array) -> Array:
-        """Returns, except for a constant, the coefficients that the fit would give if the rates were `moved`. The outputs
-        themselves stay the same. A change of the expected outputs therefore has the same effect on the fit as the opposite change
-        of the recorded outputs."""
+        """Returns, except for a constant, the coefficients that the fit would give if the rates were `moved` (n,), in rad/s. The
+        outputs themselves stay the same. A change of the expected outputs therefore has the same effect on the fit as the opposite
+        change of the recorded outputs."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])

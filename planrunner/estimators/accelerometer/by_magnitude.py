@@ -221,7 +221,8 @@ def _along_poses(drift: DriftCourses, poses: Observations, directions: Array) ->
 
 
 def _along(effect: CorrelatedError, directions: Array) -> CorrelatedError:
-    """Converts an error of the three channels to an error of |f|."""
+    """Converts an error of the three channels to an error of |f|. `directions`: array of shape (n, 3), derivatives of |f| with
+    respect to the readings."""
     change = sum(directions[:, channel, None] * one for channel, one in effect.changes.items())
     within = sum(directions[:, channel] ** 2 * one for channel, one in effect.within.items())
     return replace(effect, changes={0: np.asarray(change)}, within={0: np.asarray(within)})

@@ -85,7 +85,8 @@ def _too_alike(sight: rank.MatrixRank, readings: Array) -> str:
 
 def _linearise(readings: Array, values: Array, gravity: float) -> tuple[Array, Array, Array]:
     """Returns the residuals |f| − g (n,), their Jacobian (n, 9) with respect to the parameters, and their gradient (n, 3) with
-    respect to the readings."""
+    respect to the readings. `readings`: array of shape (n, 3), m/s². `values`: array of shape (9,), the parameters in the order of
+    `NAMES`. `gravity`: local gravity, m/s²."""
     size = _magnitude(readings[..., None], values[:, None])[:, 0]
     slopes = jacobian(lambda changed: _magnitude(readings[..., None], changed), values)
     # A residual follows the readings of its own pose alone, so that all poses' readings along an axis change at once.
@@ -94,7 +95,8 @@ def _linearise(readings: Array, values: Array, gravity: float) -> tuple[Array, A
 
 
 def _magnitude(readings: Array, values: Array) -> Array:
-    """Computes |f| from readings (n, 3, k) and parameters (9, k), where either k may be 1. Returns an array of shape (n, k)."""
+    """Computes |f| from readings (n, 3, k) and parameters `values` (9, k), where either k may be 1. Returns an array of shape (n,
+    k)."""
     bias, scale, gamma = values[:3], values[3:6], values[6:]
     cosines = np.broadcast_to(np.eye(3)[..., None], (3, 3, values.shape[1])).astype(values.dtype)
     for (i, j), angle in zip(_PAIRS, gamma, strict=True):

@@ -134,7 +134,7 @@ def _white_phase(order: int, factor: int, terms: int) -> float:
 
 def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
     """Computes s_z(t, F, α, d) of Greenhall and Riley (2003). Up to a constant factor, this is the covariance of two order-d
-    differences that are t averaging times apart."""
+    differences that are t averaging times apart. `filtering`: the filter factor F."""
     signs = [(-1) ** k * math.comb(2 * order, order + k) for k in range(order + 1)]
     total: Array = signs[0] * _averaged(t, filtering, alpha)
     for k in range(1, order + 1):
@@ -143,7 +143,7 @@ def _generalised(t: Array, filtering: float, alpha: int, order: int) -> Array:
 
 
 def _averaged(t: Array, filtering: float, alpha: int) -> Array:
-    """Computes the function s_x(t, F, α) of Greenhall and Riley (2003)."""
+    """Computes the function s_x(t, F, α) of Greenhall and Riley (2003). `filtering`: the filter factor F."""
     if math.isinf(filtering):
         return _integrated(t, alpha + 2)
     width = 1.0 / filtering

@@ -103,7 +103,7 @@ class VarianceCovariance:
 @lru_cache(maxsize=4)
 def _covariance(factors: tuple[int, ...], lengths: tuple[int, ...], order: int) -> VarianceCovariance:
     """Returns a `VarianceCovariance` from a cache. The cache is useful because the next output usually has runs of the same
-    lengths."""
+    lengths. `factors`: averaging factors. `lengths`: number of phase points of each run."""
     return VarianceCovariance(np.array(factors, dtype=np.int64), np.array(lengths, dtype=np.int64), order)
 
 
@@ -126,8 +126,8 @@ def _grouped(lengths: Integers) -> tuple[Integers, Array]:
 
 def _sum_of_squares(near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
     """Returns, for every pair of kinds of noise a and b, the sum Σ_p Σ_q C_a(q − p)·C_b(q − p) over all runs, shape (4, 4). The
-    index p counts differences with the averaging factor `near`, and q counts differences with the averaging factor `far` ≥
-    `near`."""
+    index p counts differences with the averaging factor `near`, and q counts differences with the averaging factor `far` ≥ `near`.
+    `lengths`, `counts`: the distinct run lengths, and the number of runs of each length."""
     points = range(order + 1)
     shifts = np.array([[a * near - b * far for b in points] for a in points], dtype=float).ravel()
     signs = np.outer(_SIGNS[order], _SIGNS[order]).ravel()
@@ -152,8 +152,9 @@ def _smooth(t: Array) -> Array:
 
 
 def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, order: int) -> Array:
-    """Returns the number of pairs of differences, over all runs. In a pair, one difference has the averaging factor `near` and the
-    other has the averaging factor `far`, and the two are `lag` samples apart."""
+    """Returns the number of pairs of differences, over all runs, in the shape of `lag`. In a pair, one difference has the averaging
+    factor `near` and the other has the averaging factor `far`, and the two are `lag` samples apart. `lengths`, `counts`: the
+    distinct run lengths, and the number of runs of each length."""
     total = np.zeros(lag.shape)
     for length, count in zip(lengths, counts, strict=True):
         first, second = length - order * near, length - order * far
@@ -163,8 +164,9 @@ def _pairs(lag: Array, near: int, far: int, lengths: Integers, counts: Array, or
 
 
 def _nodes(near: int, far: int, lengths: Integers, order: int) -> tuple[Array, Array]:
-    """Returns lags and weights for the numerical summation of a function with corners at the lags a·near − b·far, where a and b are
-    integers. Around these corners, the function changes over a width of about `near`."""
+    """Returns lags and weights, one array each, for the numerical summation of a function over all lags. The function has corners
+    at the lags a·near − b·far, where a and b are integers. Around these corners, it changes over a width of about `near`.
+    `lengths`: the distinct run lengths."""
     longest = int(lengths.max())
     lowest, highest = -min(longest - order * near, 8 * far), min(longest - order * far, 8 * far)
     edges = {lowest, highest + 1}
@@ -247,7 +249,10 @@ def _not_too_sure(
 ) -> Array:
     """Returns the covariance of the squared coefficients, shape (4, 4). If a coefficient cannot be distinguished from zero, its
     covariance is enlarged: it is computed for a larger coefficient, two standard uncertainties above the estimate. Without this
-    enlargement, a coefficient that is too small by chance would get too small an uncertainty as well."""
+    enlargement, a coefficient that is too small by chance would get too small an uncertainty as well. `full`: array of shape (4,
+    4), the covariance before the enlargement. `free`: array of shape (4,), the estimates, which may be negative. `squares`: array
+    of shape (4,), the estimates that are not negative, for which the covariance was computed. `chosen`: indices of the fitted
+    coefficients. `gains`: for each fitted coefficient, its derivatives (k,) with respect to the variances."""
     widening = np.ones(4)
     for place, k in enumerate(chosen):
         spread = math.sqrt(full[k, k])
@@ -260,7 +265,8 @@ def _not_too_sure(
 
 def expected_covariance(factors: Integers, squares: Array, lengths: Integers, terms: Sequence[str] = TERMS) -> Array:
     """Predicts, before anything is recorded, how well `fit_noise` would determine the squared coefficients for the given noise.
-    Returns their covariance, shape (4, 4)."""
+    Returns their covariance, shape (4, 4). `factors`: averaging factors. `squares`: array of shape (4,), the squared coefficients
+    of the given noise. `lengths`: number of phase points of each run."""
     chosen = [TERMS.index(name) for name in TERMS if name in terms]
     covariance = _sound(covariance_for(factors, lengths)(squares))
     white = np.linalg.solve(np.linalg.cholesky(covariance), model_matrix(factors)[:, chosen])

@@ -67,8 +67,8 @@ def without_lines(phase: Phase) -> tuple[Phase, tuple[SpectralLine, ...]]:
 
 
 def _lines(values: Array) -> list[tuple[float, float, float]] | None:
-    """Returns the lines of equally spaced samples (n,): the angle per sample [rad], and the amplitudes of cosine and sine. None if
-    there are more lines than a periodic disturbance has."""
+    """Returns the lines in the equally spaced samples `values` (n,): for each line, the angle per sample [rad], and the amplitudes
+    of cosine and sine. Returns None if there are more lines than a periodic disturbance has."""
     rest = values - values.mean()
     lines: list[tuple[float, float, float]] = []
     while (turn := _peak(rest)) is not None:
@@ -102,9 +102,9 @@ def _peak(values: Array) -> float | None:
 
 
 def _fitted(values: Array, turn: float) -> tuple[float, float, float]:
-    """Returns the angle per sample and the amplitudes with the least sum of squared residuals. `turn`: first guess of the angle per
-    sample [rad], with an error of at most the distance between two frequencies of the periodogram. Gauss-Newton steps improve the
-    angle."""
+    """Fits a cosine and a sine to the samples `values` (n,). Returns the angle per sample [rad] and the two amplitudes with the
+    least sum of squared residuals. `turn`: first guess of the angle per sample [rad], with an error of at most the distance between
+    two frequencies of the periodogram. Gauss-Newton steps improve the angle."""
     n = len(values)
     middle = np.arange(n) - (n - 1) / 2
     size = 0.25 * 2 * math.pi / n  # largest step

@@ -45,8 +45,9 @@ def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
 
 
 def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
-    """Returns the averaging factors to use. The factors belong to the times in `taus` that fit at least twice into the longest run.
-    If `taus` is empty, they are octaves. Raises `EstimationError` if there is no such factor."""
+    """Returns the averaging factors to use, as an array. The factors belong to the times in `taus` that fit at least twice into the
+    longest run. If `taus` is empty, they are octaves. `lengths`: number of phase points of each run. `interval`: time between phase
+    points, s. Raises `EstimationError` if there is no such factor."""
     if not taus:
         return octave_factors(lengths)
     wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)
@@ -125,7 +126,7 @@ def planned_averaging(
 
 def _least_freedom(factor: int, lengths: Integers) -> float:
     """Returns the smallest number of degrees of freedom that an Allan variance can have. The number depends on the type of noise,
-    which is not known before the recording."""
+    which is not known before the recording. `lengths`: number of phase points of each run."""
     return min(freedom_of_runs(alpha, 2, factor, lengths) for alpha in _EXPONENTS)
 
 

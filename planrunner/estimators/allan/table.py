@@ -39,7 +39,7 @@ class Deviation:
 
 def octave_factors(lengths: Integers) -> Integers:
     """Returns the averaging factors 1, 2, 4 and so on, as long as the longest run gives at least four averages. The factor 1 is
-    always included."""
+    always included. `lengths`: number of phase points of each run."""
     longest = int(lengths.max()) - 1
     last = max(1, longest // 4)
     return 2 ** np.arange(int(math.log2(last)) + 1, dtype=np.int64)

@@ -576,8 +576,8 @@ def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -
 
 
 def _between(request: EstimateRequest[ErrorModelParameters], outputs: Sequence[FittedOutput]) -> dict[str, Array]:
-    """Returns, for each kind of uncertainty, the covariance between the amplitudes of different outputs. The correlation of the
-    outputs' noise comes from the segments that all these outputs use."""
+    """Returns, for each kind of uncertainty, the covariance between the amplitudes of different outputs, shape (p, p) for p
+    amplitudes of all outputs. The correlation of the outputs' noise comes from the segments that all these outputs use."""
     rows = [one.model.rows for one in outputs]
     shared = sorted(set.intersection(*map(set, rows)))
     if len(outputs) < 2 or not shared:

@@ -62,8 +62,8 @@ class Shape:
         return self.part.effect.id
 
     def at(self, place: float) -> float:
-        """Returns the value of the shape at a position in the list of catalogue values. Positions count from 0; between two values,
-        the value is interpolated."""
+        """Returns the value of the shape at the position `place` in the list of catalogue values. Positions count from 0; between
+        two values, the value is interpolated."""
         from scipy.interpolate import PchipInterpolator
 
         if self.discrete or len(self.values) < 3:
@@ -73,7 +73,7 @@ class Shape:
         )
 
     def step(self, value: float) -> float:
-        """Returns the step of the shape for a numerical derivative."""
+        """Returns the step of the shape for a numerical derivative at `value`."""
         near = int(np.clip(np.searchsorted(self.values, value), 1, len(self.values) - 1))
         return _SLOPE * float(self.values[near] - self.values[near - 1])
 
@@ -188,7 +188,7 @@ class _Problem:
 
     def columns(self, values: Sequence[float], amplitudes: Array | None = None) -> SampleColumns:
         """Returns the columns of the model at the stimulus that the given amplitudes produce, or at the nominal stimulus if no
-        amplitudes are given."""
+        amplitudes are given. `values`: value of each shape."""
         stimulus = {} if amplitudes is None else self._stimulus(amplitudes)
         key = (tuple(values), tuple(stimulus.values()))
         if key not in self._kept:
@@ -225,18 +225,20 @@ class _Problem:
         return {shape.id: value for shape, value in zip(self.shapes, values, strict=True)}
 
     def linear(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """Returns the output (N,) in its own unit, before effects on the output (such as a limit) act on it."""
+        """Returns the output (N,) in its own unit, before effects on the output (such as a limit) act on it. `values`: value of
+        each shape. `amplitudes`: array of shape (p,), in the output's unit per SI unit."""
         columns = self.columns(values, amplitudes)
         ideal = 0.0 if self.output.gain else columns.own / self.factor
         return np.asarray(ideal + amplitudes @ columns.rows)
 
     def values(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """Returns the output (N,) according to the model, in the unit of the output."""
+        """Returns the output (N,) according to the model, in the unit of the output. The arguments are the same as in `linear`."""
         linear = self.linear(values, amplitudes)
         return self.model.output(linear * self.factor, self._named(values)) / self.factor
 
     def tangents(self, values: Sequence[float], amplitudes: Array) -> Array:
-        """Returns the derivatives of the output with respect to the amplitudes, shape (p, N)."""
+        """Returns the derivatives of the output with respect to the amplitudes, shape (p, N). The arguments are the same as in
+        `linear`."""
         rows = self.columns(values, amplitudes).rows
         if self.moving:
             rows = rows.copy()
@@ -271,7 +273,8 @@ class _Problem:
     # -- amplitudes and shapes -----------------------------------------------------------------------------------------
 
     def nominal(self) -> Array:
-        """Returns the amplitudes of an ideal sensor. The amplitudes of effects have the values that the plan expects."""
+        """Returns the amplitudes of an ideal sensor, shape (p,), in the output's unit per SI unit. The amplitudes of effects have
+        the values that the plan expects."""
         found = np.zeros(len(self.amplitudes))
         for place, one in enumerate(self.amplitudes):
             stated = self.output.expected.get(one.effect.id, {})
@@ -289,7 +292,8 @@ class _Problem:
         ]
 
     def projected(self, values: Sequence[float], observed: Array) -> tuple[Array, Array]:
-        """Returns the best amplitudes for given shapes, and the weighted residuals."""
+        """Returns the best amplitudes (p,) for given values of the shapes, and the weighted residuals (N + n,). `observed`: array
+        of shape (N,), the samples."""
         ideal = np.zeros(len(self.amplitudes))
         if self.moving and self.output.gain:
             ideal = np.where(
@@ -317,7 +321,9 @@ class _Problem:
         return best, left
 
     def search(self, observed: Array, start: list[float] | None) -> list[float]:
-        """Searches for the shapes with the smallest χ², and returns their positions in the list of catalogue values."""
+        """Searches for the shapes with the smallest χ², and returns their positions in the list of catalogue values. `observed`:
+        array of shape (N,), the samples. `start`: positions at which the search starts; if None, the catalogue values are tried
+        first."""
         from scipy.optimize import least_squares, minimize_scalar
 
         def chi_squared(places: Sequence[float]) -> float:
@@ -384,7 +390,7 @@ class _Problem:
 
     def _reweighted(self, values: Sequence[float], observed: Array) -> float:
         """Computes the noise of the samples and the noise of the means again, from the residuals of a fit. Returns the factor by
-        which the ratio of these two noises changes."""
+        which the ratio of these two noises changes. `values`: value of each shape. `observed`: array of shape (N,), the samples."""
         before = self.sigma / self.error
         amplitudes, _ = self.projected(values, observed)
         left = observed - self.values(values, amplitudes)
@@ -474,8 +480,9 @@ class _Problem:
 
     def _contrasts(self, tangents: Array, values: Array, left: Array, coloured: float) -> tuple[Contrasts, float]:
         """Returns the contrasts (see the description of this module), and the largest of the ratios that `uneven_ratios` computes.
-        `left`: array of shape (N,), residuals. `coloured`: ratio of the variance of batch means to the variance that white noise
-        explains."""
+        `tangents`: array of shape (p, N), derivatives of the output with respect to the amplitudes. `values`: array of shape (N,),
+        the samples. `left`: array of shape (N,), residuals. `coloured`: ratio of the variance of batch means to the variance that
+        white noise explains."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))

@@ -34,8 +34,8 @@ def residual_influences(
     found: list[Influence] = []
 
     def recovered(flat: Array) -> Array:
-        """Computes the rates from the outputs for k sets of coefficients (2·p, k). Returns an array of shape (2·v, k), in the unit
-        of the residuals."""
+        """Computes the rates from the outputs for k sets of coefficients `flat` (2·p, k). Returns an array of shape (2·v, k), in
+        the unit of the residuals."""
         rates = flexure_gyro.compensated_rates(flat.reshape(2, -1, flat.shape[1]), observed, matrix[:, 3:6])
         return np.asarray(np.swapaxes(rates, 0, 1).reshape(-1, flat.shape[1]) / rate)
 
@@ -65,7 +65,8 @@ def sums_and_ratios(residuals: Array, sets: int) -> Array:
 
 
 def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) -> list[Influence]:
-    """Returns the influences on i − X·c that act through the stimulus at the verification positions."""
+    """Returns the influences on i − X·c that act through the stimulus at the verification positions. `matrix`: array of shape (v,
+    p), design matrix X, SI. `coefficients`: array of shape (2, p), the coefficients c."""
     each = np.array(np.broadcast_to(np.eye(len(matrix)), (2, len(matrix), len(matrix))))
     model, segments = flexure_gyro.static_model(), [recorded.segment for recorded in request.segments]
     site = site_errors(model, segments, request.site, request.setup.inputs, coefficients)

@@ -74,7 +74,7 @@ def predict_residuals(noise: Mapping[str, Array], stated: Mapping[str, Array], t
     """Predicts the residuals by simulating experiments with a given random seed. `noise`: for each set, a matrix (r, z) that maps z
     independent inputs of standard deviation 1 to the r residuals; the inputs represent the noise. `stated`: for each set, a matrix
     (r, s) of the same kind; its s inputs represent the declared uncertainties. In one simulated experiment, all sets have the same
-    inputs."""
+    inputs. `trials`: number of experiments."""
     rng = np.random.default_rng(seed)
     first = next(iter(noise))
     drawn = rng.standard_normal((noise[first].shape[1], trials))

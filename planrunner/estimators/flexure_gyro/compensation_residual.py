@@ -171,7 +171,8 @@ def _several(sets: Sized) -> None:
 
 
 def _relative(block: DesignBlock) -> Array:
-    """Returns the noise of the observations of a calibration, divided by its root mean square, because only ratios matter."""
+    """Returns the noise of the n observations of a calibration, divided by its root mean square, shape (n,). Only ratios of the
+    noise matter."""
     typical = float(np.sqrt(np.mean(block.sigma**2)))
     return block.sigma / typical if typical > 0 else np.ones_like(block.sigma)
 

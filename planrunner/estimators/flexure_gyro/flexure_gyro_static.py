@@ -186,8 +186,8 @@ def static_design(products: tuple[str, ...], segments: Sequence[Segment], site: 
 
 
 def static_matrix(model: ErrorModel, segments: Sequence[Segment], site: Site) -> Array:
-    """Returns the design matrix, SI. All segments must be at rest. Raises `EstimationError` for a segment that moves or whose
-    orientation is unknown."""
+    """Returns the design matrix, SI, shape (n, p). All n segments must be at rest. Raises `EstimationError` for a segment that
+    moves or whose orientation is unknown."""
     return matrix_at_rest(model, segments, site, "the static coefficients need positions at rest")
 
 
@@ -245,7 +245,8 @@ def static_coefficients(
 
 
 def _in_units(factors: Array, outputs: Array) -> Array:
-    """Computes n sets of the reported quantities (q, n), in their units, from [U; V] in SI (r, n)."""
+    """Computes n sets of the reported quantities (q, n), in their units, from the coefficients `outputs` (r, n), which are [U; V]
+    in SI. `factors`: array of shape (q,), SI value of the unit of each quantity."""
     physical = flexure_gyro.physical_coefficients(outputs.reshape(2, -1, outputs.shape[1]))
     return np.asarray(np.concatenate([physical, outputs]) / factors[:, None])
 

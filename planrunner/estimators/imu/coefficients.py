@@ -131,14 +131,15 @@ def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResult
 
 
 def _split(fitted: Sequence[Response], flat: Array) -> list[Array]:
-    """Splits a sequence of all fitted coefficients into the responses (3, p, n) of each triad."""
+    """Splits the sequence `flat` of all fitted coefficients into the responses (3, p, n) of each triad."""
     ends = np.cumsum([one.values.size for one in fitted])
     parts = np.split(flat, ends[:-1])
     return [part.reshape(3, -1, flat.shape[1]) for part in parts]
 
 
 def _rotation(reference: Response, values: Array) -> Array:
-    """Returns the rotations (3, 3, n) from the frame of the fixture to a triad's own frame, for responses of the triad (3, p, n)."""
+    """Returns the rotations (3, 3, n) from the frame of the fixture to a triad's own frame, for the responses `values` (3, p, n) of
+    the triad."""
     factors = np.array([own.factor for own in reference.units])[:, None, None]
     try:
         return own_frame(values[:, [reference.sensed[k] for k in range(3)]] * factors)
@@ -147,8 +148,8 @@ def _rotation(reference: Response, values: Array) -> Array:
 
 
 def _turned(one: Response, values: Array, rotation: Array) -> Array:
-    """Transforms responses (3, p, n) to another frame. These are responses to rates and to specific forces. `rotation`: array of
-    shape (3, 3, n), the rotation from the old frame to the new one."""
+    """Transforms the responses `values` (3, p, n) to another frame. These are responses to rates and to specific forces.
+    `rotation`: array of shape (3, 3, n), the rotation from the old frame to the new one."""
     turned = np.array(values)
     for places in (one.places("rate"), one.places("accel")):
         if places:
@@ -184,7 +185,8 @@ class _Part:
 
 
 def _axis(one: Response, axis: int, own_frame_: bool) -> list[_Part]:
-    """Returns the reported quantities of one output."""
+    """Returns the reported quantities of the output along `axis`. `own_frame_`: True if the results are in the own frame of a
+    triad, False for the frame of the fixture."""
     own, letter = one.units[axis], AXES[axis]
     direct = own.dimension == _DIMENSION[one.kind]
     plain = _BIAS[one.kind] if direct else f"({own.text})"

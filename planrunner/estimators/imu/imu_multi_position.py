@@ -349,7 +349,7 @@ def _extra(
 
 
 def _held(planned: set[float | None]) -> float | None:
-    """Returns the temperature [K] that all segments have in common; None if there is none."""
+    """Returns the planned temperature [K] that all segments have in common; None if there is none."""
     return next(iter(planned)) if len(planned) == 1 else None
 
 
@@ -359,7 +359,7 @@ def _inverse(one: Response) -> Array | None:
 
 def by_temperature(found: Sequence[Coefficient], celsius: float, time: float) -> Mapping[str, object]:
     """Returns the coefficients at one temperature, in the form that `interface.Estimate` describes for its field `extra`. `time`:
-    mean time of the test, s."""
+    mean time of the test, s. `celsius`: the temperature, degC."""
     return {
         one.name: {
             "temperature_degC": [celsius],

@@ -184,8 +184,8 @@ def _compared(name: str, still: str) -> tuple[tuple[str, str, Said], tuple[str, 
 
 
 def _ratios(still: Navigation, turned: Sequence[Navigation]) -> tuple[tuple[Coefficient, ...], Array]:
-    """Returns the ratios of CEP rates and the suppressions, with their covariance. The results are correlated, because each of them
-    is a comparison with the same navigation without rotation."""
+    """Returns the ratios of CEP rates and the suppressions, with their covariance (m, m). The m results are correlated, because
+    each of them is a comparison with the same navigation without rotation."""
     if still.rms == 0.0:
         raise UnfitDataError(f"'{still.name}' has no position error at all, so nothing can be compared with it")
     coefficients, rows = [], []

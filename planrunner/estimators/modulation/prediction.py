@@ -38,7 +38,8 @@ def errors_over_time(
 
     `errors`: array of shape (6,), constant errors of gyros [rad/s] and accelerometers [m/s²] along x, y, z. `attitude`: array of
     shape (3, 3), whose rows are the sensor's axes in East-North-Up at the first position. `cycle`: rotation cycle during
-    navigation, None at rest. `aligned`: rotation cycle during the alignment, None at rest.
+    navigation, None at rest. `aligned`: rotation cycle during the alignment, None at rest. `seconds`: duration of the navigation,
+    s.
     """
     equations = ErrorEquations.at(site)
     level = attitude.T @ errors.reshape(2, 3).T  # columns: gyros, accelerometers, in East-North-Up
@@ -66,8 +67,8 @@ def errors_over_time(
 
 
 def horizontal(errors: Array, attitude: Array) -> Array:
-    """Returns the constant errors without their vertical part, shape (6,). (A rotation about the vertical does not modulate the
-    vertical part.)"""
+    """Returns the constant errors (6,) without their vertical part. (A rotation about the vertical does not modulate the vertical
+    part.) `errors`, `attitude`: the same as in `errors_over_time`."""
     up = attitude[:, 2]
     across: Array = errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
     return across
@@ -77,7 +78,8 @@ def periodic_amplitudes(
     errors: Array, attitude: Array, cycle: RotationCycle, orders: NDArray[np.int_], site: Site
 ) -> tuple[float, float]:
     """Returns the amplitudes of those parts of the velocity error [m/s] and of the position error [m] that repeat with the cycle.
-    The amplitudes are computed from the harmonics `orders` of the cycle."""
+    The amplitudes are computed from the harmonics `orders` of the cycle. `errors`, `attitude`: the same as in
+    `errors_over_time`."""
     level = attitude.T @ errors.reshape(2, 3).T
     gyro, accelerometer = (complex(level[0, column], level[1, column]) for column in (0, 1))
     forced = {

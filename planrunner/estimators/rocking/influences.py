@@ -187,13 +187,15 @@ def _of_one_run(reduced: ReducedRun, request: Request) -> Iterator[StatedConditi
 
 
 def _tilted(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """Returns a variant of the run in which the reading of one accelerometer is larger by `by` [m/s^2] in the second window."""
+    """Returns a variant of the run in which the reading of one accelerometer is larger by `by` [m/s^2] in the second window.
+    `axis`: axis of this accelerometer."""
     second = reduced.second
     return replace(reduced, second=replace(second, readings=second.readings + by * np.eye(3)[axis]))
 
 
 def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """Returns a variant of the run in which the element also drifts at the rate `by` [rad/s] about one of its axes."""
+    """Returns a variant of the run in which the element also drifts at the rate `by` [rad/s] about one of its axes. `axis`: this
+    axis."""
     second, vector = reduced.second, by * reduced.seconds * np.eye(3)[axis]
     readings = second.readings @ turned_by(vector[None])[0].T
     turn = None if second.turn is None else second.turn + vector
@@ -201,8 +203,8 @@ def _drifting(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
 
 
 def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
-    """Returns a variant of the run in which the attitude from the encoders is wrong by the angle `by` [rad] in the second
-    window."""
+    """Returns a variant of the run in which the attitude from the encoders is wrong by the angle `by` [rad] in the second window.
+    `axis`: axis of the element about which the attitude is wrong."""
     second = reduced.second
     assert second.turn is not None
     return replace(reduced, second=replace(second, turn=second.turn + by * np.eye(3)[axis]))

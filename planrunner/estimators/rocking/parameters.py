@@ -32,7 +32,7 @@ class Installation(Record):
         return {"xz": self.xz, "xy": self.xy, "yz": self.yz, "yx": self.yx, "zy": self.zy, "zx": self.zx}
 
     def angles(self) -> Array:
-        """Returns the stated angles [rad], in the order of `stated`."""
+        """Returns the stated angles [rad], shape (6,), in the order of `stated`."""
         return np.array([one.value for one in self.stated().values()])
 
 

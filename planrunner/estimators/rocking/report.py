@@ -121,7 +121,8 @@ def before_rocking_table(runs: Runs, conditions: RockingConditions) -> list[Tabl
 
 
 def method_error(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Table:
-    """Makes a table of the possible errors [deg/h] that the gravity method causes in the drift of one run."""
+    """Makes a table of the possible errors [deg/h] that the gravity method causes in the drift of one run. `seconds`: time between
+    the windows, s."""
     parameters = request.parameters
     gravity = request.site.gravity
     rows = [
@@ -176,7 +177,7 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
 
 def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Said:
     """Writes a note about drift about the vertical axis. The note states which fraction of such a drift appears as a drift about a
-    level axis."""
+    level axis. `seconds`: time between the windows, s."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return said(
         "By the second window the element has tilted by {tilt:.2f} deg relative to the site: up to {share:.1f} % of the "

@@ -323,7 +323,8 @@ def _foreseen(
 
 
 def _name(axis: int, by_gimbals: bool) -> tuple[str, Said]:
-    """Returns the name and the description of a drift."""
+    """Returns the name and the description of the drift about an axis. `by_gimbals`: True if the drift is computed from the
+    gimbals."""
     letter = AXES[axis]
     if by_gimbals:
         return f"gimbal_drift_{letter}", said("rocking drift about {axis}, from gimbal and ring angles", axis=letter)

@@ -45,7 +45,7 @@ class RockingConditions:
 
     @property
     def felt_earth(self) -> Array:
-        """Returns the Earth rate in the site axes to which the planned orientation refers."""
+        """Returns the Earth rate [rad/s] in the site axes to which the planned orientation refers, shape (…, 3)."""
         east, north, up = np.moveaxis(self.earth, -1, 0)
         c, s = np.cos(self.turned), np.sin(self.turned)
         return np.stack([c * east - s * north, s * east + c * north, up], axis=-1)
@@ -108,7 +108,8 @@ def reduce_run(
     windows: Windows,
     encoders: bool,
 ) -> ReducedRun:
-    """Reads and filters one recorded run, and cuts out its windows. Raises `EstimationError` if the data are unsuitable."""
+    """Reads and filters one recorded run, and cuts out its windows. Raises `EstimationError` if the data are unsuitable.
+    `encoders`: True if ring and gimbal angles are used."""
     parameters = request.parameters
     channels = [*parameters.accelerometers, *((*parameters.rings, *parameters.gimbals) if encoders else ())]
     made = []
@@ -135,7 +136,7 @@ def reduce_run(
 
 def expected_run(run: Run, times: tuple[float, float], conditions: RockingConditions, encoders: bool) -> ReducedRun:
     """Computes the windows of an expected run, in which the element is fixed in inertial space. `times`: t0 and t1, s from the
-    start of the record."""
+    start of the record. `encoders`: True if ring and gimbal angles are used."""
     windows = []
     for time in np.array(times):
         attitude = run.state.nominal @ earth_turn(conditions.felt_earth, np.array([time + run.planned_lead]))
@@ -232,7 +233,8 @@ def gimbal_drift(reduced: ReducedRun, conditions: RockingConditions) -> Array:
 
 
 def _heading(reduced: ReducedRun, earth: Array, zero: float) -> Array:
-    """Returns the rotation (…) of the element about the vertical at t0."""
+    """Returns the rotation (…) of the element about the vertical at t0, rad. `earth`: array of shape (…, 3), Earth rate in site
+    axes, rad/s. `zero`: the time t0, s from the start of the record."""
     state, turn = reduced.run.state, reduced.first.turn
     if reduced.lead is not None or turn is None:
         assert reduced.lead is not None  # without encoders the azimuth is nominal

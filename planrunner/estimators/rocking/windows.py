@@ -116,19 +116,21 @@ def low_pass(piece: RecordPiece, cutoff: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _sections(ratio: float) -> Array:
-    """Returns the second-order sections of the filter. The cutoff is given as a fraction of the sampling rate."""
+    """Returns the second-order sections of the filter. `ratio`: the cutoff frequency as a fraction of the sampling rate."""
     from scipy.signal import butter
 
     return np.asarray(butter(ORDER, ratio, fs=1.0, output="sos"))
 
 
 def passed(frequency: float, cutoff: float) -> float:
-    """Returns the fraction of a sine's amplitude that remains after the filter has run forwards and backwards."""
+    """Returns the fraction of a sine's amplitude that remains after the filter has run forwards and backwards. `frequency`,
+    `cutoff`: frequency of the sine and cutoff frequency of the filter, Hz."""
     return 1 / (1 + (frequency / cutoff) ** (2 * ORDER))
 
 
 def within(piece: RecordPiece, begin: float, length: float) -> NDArray[np.bool_]:
-    """Returns a mask of shape (n,), which is True for the samples of a piece that are in the window."""
+    """Returns a mask of shape (n,), which is True for the samples of a piece that are in the window from `begin` to `begin` +
+    `length`, s."""
     return (piece.time >= begin - 1e-6) & (piece.time < begin + length - 1e-6)
 
 
@@ -143,7 +145,8 @@ def scale(recorded: RecordedSegment, name: str) -> float:
 
 
 def _even(label: str, time: Array, values: Array, begin: float, end: float) -> RecordPiece:
-    """Fills short gaps by linear interpolation. A gap consists of samples that are missing or not a number."""
+    """Returns the samples between `begin` and `end` [s] as evenly spaced samples. Short gaps are filled by linear interpolation. A
+    gap consists of samples that are missing or not a number. `time`: array of shape (n,), s. `values`: array of shape (n, k)."""
     sound = np.isfinite(values).all(axis=1)
     time, values = time[sound], values[sound]
     if time.size < 16:

@@ -92,7 +92,8 @@ def align(
     `site`: the point on the Earth at which the sensor is aligned, with its latitude, height and gravity. `constant`: array of shape
     (6,), standard uncertainty of the constant errors of gyros and accelerometers, rad/s and m/s²; used only if the sensor is turned
     during the alignment. `follow`: the argument of `FineAlignment` with this name. `lasting`: total time of alignment and
-    navigation, s. Raises `EstimationError` if the segment is unsuitable for an alignment.
+    navigation, s. Raises `EstimationError` if the segment is unsuitable for an alignment. `gravity_factor`: gravity at the site
+    divided by normal gravity.
     """
     seconds = recorded.statistics.duration
     still = stillness(recorded.segment, seconds)
@@ -229,7 +230,8 @@ def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, AtRes
 
 
 def to_navigation(rotation: Array, variances: Array) -> Array:
-    """Converts variances (6,) in body axes to a covariance matrix (6, 6) in navigation axes."""
+    """Converts variances (6,) in body axes to a covariance matrix (6, 6) in navigation axes. `rotation`: array of shape (3, 3),
+    attitude, from body to navigation axes."""
     both = np.zeros((6, 6))
     both[:3, :3] = rotation * variances[:3] @ rotation.T
     both[3:, 3:] = rotation * variances[3:] @ rotation.T
@@ -328,7 +330,7 @@ def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site)
 
 def _would_agree(channels: Sequence[str], mean: Array, site: Site) -> list[str]:
     """Returns the channels that may have the wrong sign: if the sign of any one of them is reversed, the rates at rest agree with
-    the Earth's rate."""
+    the Earth's rate. `mean`: array of shape (6,), mean readings at rest, rad/s and m/s²."""
     signs = 1.0 - 2.0 * np.eye(len(mean))
     errors = [_rate_error(sign * mean, site) for sign in signs]
     limit = _EARTH_TOLERANCE * site.earth_rate

@@ -114,7 +114,7 @@ def _with_effect(
     """Returns the fitted drift together with its effect on the navigation. `expected`: array of shape (6,), standard deviations of
     the readings that the fits assume, divided by the standard deviations that noise and stated flicker explain. `courses`: the
     fitted drift functions, each with one column of n + l rows: n rows for the observations, then l rows for the intervals of the
-    response."""
+    response. `observed`: number n of observations."""
     from scipy.special import fdtrc
 
     left = fits[0].degrees_of_freedom

@@ -366,7 +366,8 @@ def _begin(
     aligned: Aligned,
     every: int,
 ) -> tuple[Navigator, Site]:
-    """Returns a navigator for the start of the first interval, and the point on the Earth at which it starts."""
+    """Returns a navigator for the start of the first interval, and the point on the Earth at which it starts. `every`: number of
+    samples in an interval of the navigator."""
     parameters = request.parameters
     first = {name: _before(values) for name, values in piece.reference.items()}
     stated = request.setup.information

@@ -92,7 +92,8 @@ class IncrementReader:
             yield Increments(rows[0], interval, values, found, kelvin)
 
     def _clock(self, label: str, rows: Array) -> tuple[Array, Array]:
-        """Fills short gaps, and returns the interval that each sample covers, and the samples."""
+        """Fills short gaps. Returns the interval [s] that each of the n samples covers, shape (n,), and the samples in the form of
+        `rows`. `rows`: array with one column for each sample; row 0 contains the times, s."""
         time = rows[0]
         begin = time[0] - self.interval if self._last is None else self._last
         steps = np.diff(time, prepend=begin)

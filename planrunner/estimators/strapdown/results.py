@@ -126,7 +126,9 @@ def _settings(request: EstimateRequest[StrapdownNavigationParameters], found: Na
 
 
 def _table(points: Array, uncertainty: Array) -> Table:
-    """Returns a table of the errors at whole hours or, for shorter runs, every ten minutes, every minute or every second."""
+    """Returns a table of the errors at whole hours or, for shorter runs, every ten minutes, every minute or every second. `points`:
+    array of shape (5, n), errors as `ErrorRecord.points` returns them. `uncertainty`: array of shape (n,), standard uncertainty of
+    the radial error, m."""
     time = points[0]
     steps = [3600.0, 600.0, 60.0, 1.0]
     step = next((seconds for seconds in steps if time[-1] >= 3 * seconds), steps[-1])

@@ -117,7 +117,8 @@ class StopReader:
 
     def _add(self, each: Array, times: Array, rotation: Array, block: int) -> None:
         """Adds successive intervals of one stop. `each`: array of shape (m, 8), increments, seconds, and seconds × temperature of
-        each interval. `times`: array of shape (m,), middle of each interval, s."""
+        each interval. `times`: array of shape (m,), middle of each interval, s. `rotation`: array of shape (3, 3), attitude.
+        `block`: index of the block of time."""
         position = self._position(rotation)
         part = self._parts.setdefault((block, position), _Part(position, rotation))
         part.sums += np.array([*each[:, :7].sum(axis=0), times @ each[:, 6], each[:, 7].sum()])

@@ -124,7 +124,8 @@ class Wander:
 
 def _evidence(found: Navigated, sensor: int, rate: float, span: float) -> FlickerEvidence | None:
     """Returns what the readings at the first stop of the alignment show about the flicker of a sensor; None if there are too few
-    readings. `rate`: SI value of the unit of the sensor's channel, rad/s or m/s²."""
+    readings. `rate`: SI value of the unit of the sensor's channel, rad/s or m/s². `span`: time over which a constant error is the
+    average, s."""
     rest = found.aligned.rest
     n = rest.means.shape[1]
     if not (n > 1 and rest.white[sensor] > 0):
@@ -184,7 +185,8 @@ def _drawn(equations: ErrorEquations, found: Navigated, points: Array, start: Ar
     navigation; the figures are then computed again for each draw. On average, noise increases the largest and the root-mean-square
     errors. The figures are not corrected for this; instead, the mean change is added to the expanded uncertainty (JCGM 100:2008,
     F.2.4.5). `start`: array of shape (7, 7), covariance of the state at the start of the navigation. `density`: array of shape (6,
-    6), density of the white noise in navigation axes."""
+    6), density of the white noise in navigation axes. `points`: array of shape (5, n), errors as `ErrorRecord.points` returns
+    them."""
     last = points.shape[1] - 1
     every = max(1, -(-last // _MOMENTS))
     course = np.column_stack([points[:, every::every], [found.seconds, *found.final]])
@@ -223,8 +225,8 @@ def _bounds(found: Navigated, points: Array, radial: Array, speed: Array) -> Arr
 
 
 def _along(errors: Array, covariances: Array) -> Array:
-    """Returns the standard uncertainties of the lengths of n vectors (2, n) with the covariances (n, 2, 2). For a vector of length
-    zero, the standard uncertainty is the square root of the sum of the two variances."""
+    """Returns the standard uncertainties of the lengths of the n vectors `errors` (2, n) with the covariances (n, 2, 2). For a
+    vector of length zero, the standard uncertainty is the square root of the sum of the two variances."""
     size = np.hypot(*errors)
     unit_vectors = np.where(size > 0, errors / np.where(size > 0, size, 1.0), 0.0)
     along = np.einsum("in,nij,jn->n", unit_vectors, covariances, unit_vectors)
@@ -309,8 +311,8 @@ def errors_by_latitude(equations: ErrorEquations, site: Site, step: float, count
 
 
 def _figures(course: Array) -> Array:
-    """Computes the results that follow the angles in `NAMES`, for k sets of navigation errors (5, n, k). Returns an array of shape
-    (m, k). The errors are in the form of `ErrorRecord.points`, without the first point."""
+    """Computes the results that follow the angles in `NAMES`, for k sets of navigation errors `course` (5, n, k). Returns an array
+    of shape (m, k). The errors are in the form of `ErrorRecord.points`, without the first point."""
     time, radial, speed = course[0].real, length(course[1:3]), length(course[3:5])
     largest, fastest = radial.real.argmax(axis=0), speed.real.argmax(axis=0)
     each = np.arange(course.shape[2])

@@ -47,7 +47,7 @@ class WanderingBias:
 
     @property
     def middles(self) -> Array:
-        """Returns the middle of each interval of alignment and navigation, s since the alignment began."""
+        """Returns the middle of each of the l intervals of alignment and navigation, shape (l,), s since the alignment began."""
         return np.asarray(self.step * (np.arange(self.begun + len(self.attitude)) + 0.5))
 
     def errors(self, biases: Array) -> Array:

@@ -78,7 +78,8 @@ class Difference:
 
     def columns(self, temperature: Array, direction: Integers) -> Array:
         """Returns the columns that describe the contribution +D/2 or −D/2 to the values, shape (n, q); zero for values without a
-        direction."""
+        direction. `temperature`: array of shape (n,), degC. `direction`: array of shape (n,), +1 for rising, −1 for falling
+        temperature, 0 if there is no direction."""
         return self.width(temperature) * (direction / 2)[:, None]
 
 

@@ -72,7 +72,8 @@ class Curve:
 
 def curve(form: str, order: int, reference: float, temperatures: Array) -> Curve:
     """Chooses the form of a curve for data at `temperatures` [degC]. The knots of a spline are quantiles of the distinct
-    temperatures, which include the lowest and the highest temperature."""
+    temperatures, which include the lowest and the highest temperature. `reference`: reference temperature T₀ of a polynomial,
+    degC."""
     knots = np.quantile(np.unique(temperatures), np.linspace(0, 1, order + 1)) if form == "spline" else np.zeros(0)
     return Curve(form, order, reference, knots)
 
@@ -127,7 +128,8 @@ def held_out(
 
     `sigma`: array of shape (n,), standard uncertainties for the weights. `fold`: array of shape (n,), index of the fold in which
     each value is held out. `beside`: array of shape (n, q), columns that are fitted together with each curve. `whitening`: array of
-    shape (n, n), matrix that whitens correlated values; if it is not given, values are divided by `sigma`.
+    shape (n, n), matrix that whitens correlated values; if it is not given, values are divided by `sigma`. `reference`: reference
+    temperature T₀, degC. `temperature`, `value`: arrays of shape (n,), temperatures [degC] and values.
     """
     whitened = _white(value, sigma, whitening)
     further = np.zeros((len(value), 0)) if beside is None else beside
@@ -343,7 +345,8 @@ def fit_curve(
     """Fits a curve of a given order. If `order` is None, it first selects, by the held-out errors, an order of at most `highest`.
 
     `scatter`: True if the covariance is computed from the scatter of the residuals, False if it is computed from sigma. Raises
-    `EstimationError` if there are too few temperatures or values.
+    `EstimationError` if there are too few temperatures or values. `reference`: reference temperature T₀, degC. `folds`: number of
+    folds; 0 if each temperature is a separate fold.
     """
     temperature, group = values.temperature, values.group
     distinct = int(group.max()) + 1
@@ -374,7 +377,7 @@ def fit_curve(
 
 def _fitted(made: Curve, values: OverTemperature, scatter: bool) -> CurveFit:
     """Fits a curve of a given form to all values. Raises `EstimationError` if the uncertainty must come from residuals, but there
-    are none."""
+    are none. `scatter`: the same as in `fit_curve`."""
     columns = np.column_stack([made.columns(values.temperature), values.beside])
     fit = least_squares.fit(columns, values.value, values.sigma, covariance=values.covariance)
     gains = values.white((fit.cofactor @ values.white(columns).T).T, transposed=True).T

@@ -171,7 +171,7 @@ def _channel(
     segments: Sequence[RecordedSegment], channel: str, thermometer: str | None, width: float
 ) -> tuple[Points, Intervals, Array]:
     """Returns the n values of a channel, q intervals of time, and an array of shape (n, q): for each value, the fraction of its
-    samples in each interval."""
+    samples in each interval. `width`: width of a temperature bin, K."""
     units = sorted({recorded.units[channel] for recorded in segments})
     if len(units) > 1:
         raise EstimationError(f"channel '{channel}' is recorded in different units ({', '.join(units)})")
@@ -214,7 +214,7 @@ def _channel(
 
 def _at_held(segments: Sequence[RecordedSegment], channel: str, text: str, width: float) -> Points:
     """Returns the means of segments at their planned temperatures. The order in time shows whether a temperature was reached from
-    below or from above."""
+    below or from above. `text`: unit of the channel. `width`: a change of at most this size [K] counts as no change."""
     found = np.array([_planned(recorded, channel) for recorded in segments])
     order = np.argsort([recorded.segment.start for recorded in segments], kind="stable")
     direction, sweep = np.empty(len(order), dtype=np.int64), np.empty(len(order), dtype=np.int64)
@@ -265,7 +265,8 @@ class _Ramp:
 
 def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float, intervals: int) -> list[_Ramp]:
     """Returns the branches of a segment, found in one pass over its samples. Sums are stored for each bin and each short piece of
-    the segment. The mean temperatures of these pieces determine the branches."""
+    the segment. The mean temperatures of these pieces determine the branches. `width`: width of a temperature bin, K. `intervals`:
+    number of intervals of equal length into which the segment is divided."""
     try:
         scale = unit(recorded.units[thermometer])
     except UnknownUnitError as error:
@@ -328,7 +329,8 @@ def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: flo
 
 def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
     """Returns the indices of the ramps in order of time; −1 for a ramp whose temperature hardly changes. A ramp that continues the
-    preceding ramp in the same direction has the same index as that ramp."""
+    preceding ramp in the same direction has the same index as that ramp. `width`: the difference between the end of a ramp and the
+    start of the next one up to which the next ramp continues it, K."""
     found: list[int] = []
     last: _Ramp | None = None
     for ramp in ramps:

@@ -97,7 +97,8 @@ class Modelled:
     hidden: HiddenDrift | None = None
 
     def loop(self, celsius: Array) -> Loop | None:
-        """Returns the hysteresis loop at n temperatures [degC]; None if only one direction of temperature is recorded."""
+        """Returns the hysteresis loop at the temperatures `celsius` (n,), degC; None if only one direction of temperature is
+        recorded."""
         if self.difference is None or self.fit.beside_spread is None:
             return None
         rows = self.difference.width(celsius)
@@ -368,8 +369,8 @@ def _difference(points: Points, parameters: TemperatureModelParameters, highest:
 
 
 def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], Array]:
-    """Returns the coefficients of all curves and the hysteresis along ramps, with their covariance. The curves are treated as
-    independent of each other."""
+    """Returns the m coefficients of all curves and the hysteresis along ramps, with their covariance (m, m). The curves are treated
+    as independent of each other."""
     rows: list[Coefficient] = []
     blocks: list[Array] = []
     for one in models:

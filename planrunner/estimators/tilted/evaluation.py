@@ -131,7 +131,7 @@ class Worst:
 
 def make_group(series: Sequence[RateSeries], label: str, kelvin: float, commanded: Array, mean: Array) -> Group:
     """Combines the repeats at one temperature. `commanded`: array of shape (N,) in rad/s, rate of each segment. `mean`: array of
-    shape (N, m), means of all segments."""
+    shape (N, m), means of all segments. `kelvin`: the temperature, K."""
     spins = np.array([one.spins for one in series])
     before, after = (
         _weights(series, [one.start for one in series], mean),
@@ -179,14 +179,15 @@ def evaluate(
 
 def quantities(line: RateLines, full_scale: Array, rate: NDArray[np.int64], sign: Array) -> Array:
     """Returns the five `QUANTITIES` (q, m, 5) of each repeat. `rate`: array of shape (m,), index of the rate with the largest
-    residual. `sign`: array of shape (m,), sign of this residual."""
+    residual. `sign`: array of shape (m,), sign of this residual. `full_scale`: array of shape (m,), largest absolute output of each
+    axis."""
     at = line.residuals[:, rate, np.arange(len(rate))]
     return np.stack([line.slope, line.offset, sign * at / full_scale, line.asymmetry, line.response], axis=-1)
 
 
 def columns_of_repeats(groups: Sequence[Group], conditions: TiltedConditions, axis: int) -> Array:
     """Returns the design matrix for the means of one output and R repeats, shape (N, 3·R). The model of a repeat has its own zero,
-    its own offset at the rates, and its own scale factor, as in `fit_lines`."""
+    its own offset at the rates, and its own scale factor, as in `fit_lines`. `axis`: index of the output's axis."""
     columns = []
     for group in groups:
         inputs = conditions.inputs(group)[..., axis]
@@ -210,8 +211,8 @@ def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
 
 
 def slope_weights(kelvin: Array) -> Array:
-    """Returns the weights [1/K] that compute a slope from values at g temperatures, shape (g,). The sum of the weighted values is
-    the slope of the straight line through the values."""
+    """Returns the weights [1/K] that compute a slope from values at g temperatures `kelvin` (g,), shape (g,). The sum of the
+    weighted values is the slope of the straight line through the values."""
     off = kelvin - kelvin.mean()
     return np.asarray(off / np.sum(off * off))
 
@@ -224,13 +225,15 @@ def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Wor
 
 def answers_to_averages(answers: Array) -> Array:
     """Returns the sensitivities of a group's quantities to the averages that `Group.averages` describes, shape (n + 1, m, 5). The
-    last row is for the output at rest, which is subtracted from the output at every rate."""
+    last row is for the output at rest, which is subtracted from the output at every rate. `answers`: array of shape (n, m, 5),
+    sensitivities to the outputs at the rates (`answers_of`)."""
     return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 
 def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64], sign: Array) -> Array:
     """Returns the sensitivities of the quantities of one group to its outputs, shape (n, m, 5). The quantities of an axis depend
-    only on the output of this axis, so the outputs of all axes are changed simultaneously."""
+    only on the output of this axis, so the outputs of all axes are changed simultaneously. `rate`, `sign`: the same as in
+    `quantities`."""
     x, full_scale = conditions.inputs(group), group.full_scale
     q, n, m = x.shape
 
@@ -246,16 +249,18 @@ def _answers(group: Group, conditions: TiltedConditions, rate: NDArray[np.int64]
 
 
 def over_temperature(values: Array, kelvin: Array, reference: int, decides: NDArray[np.int64] | int) -> Array:
-    """Returns an array of shape (2, m): the temperature coefficients and the sensitivities of scale factors (g, m). `decides`:
-    index of the temperature that determines the sensitivity."""
+    """Returns an array of shape (2, m): the temperature coefficients and the sensitivities of the scale factors `values` (g, m) at
+    the temperatures `kelvin` (g,). `reference`: index of the reference temperature. `decides`: index of the temperature that
+    determines the sensitivity."""
     base, decisive = values[reference], values[decides, np.arange(values.shape[1])]
     change = (decisive - base) / (base * (kelvin[decides] - kelvin[reference]))
     return np.stack([slope_weights(kelvin) @ values / base, np.where(change.real < 0, -1.0, 1.0) * change])
 
 
 def _decisive(values: Array, kelvin: Array, reference: int) -> NDArray[np.int64]:
-    """Returns the indices (m,) of the temperatures at which the change of the scale factors (g, m), divided by the distance from
-    the reference temperature, is largest."""
+    """Returns the indices (m,) of the temperatures at which the change of the scale factors `values` (g, m), divided by the
+    distance from the reference temperature, is largest. `kelvin`: array of shape (g,), temperatures. `reference`: index of the
+    reference temperature."""
     apart = np.abs(kelvin - kelvin[reference])
     away = np.isfinite(apart) & (apart > 0)
     size = np.abs(values - values[reference]) / np.where(away, apart, 1.0)[:, None]

@@ -219,11 +219,12 @@ def _derived(
 def _acting(
     request: EstimateRequest[FixtureAnglesParameters], model: GainModel, axes: MountedAxes, k: int, fit: OutputsFit
 ) -> tuple[Influence, ...]:
-    """Returns the influences of stated inputs on the offsets and gains of one axis."""
+    """Returns the influences of stated inputs on the offsets and gains of axis k."""
 
     def answered(matrix: Array) -> Array:
-        """Returns the change of the fitted coefficients for a changed design matrix. The outputs themselves stay the same. A change
-        of the expected outputs therefore has the same effect on the fit as the opposite change of the recorded outputs."""
+        """Returns the change of the fitted coefficients if the design matrix changes to `matrix`. The outputs themselves stay the
+        same. A change of the expected outputs therefore has the same effect on the fit as the opposite change of the recorded
+        outputs."""
         return np.asarray(-fit.gains[0] @ matrix @ fit.coefficients[0])
 
     stated = stated_conditions(model, request.setup, request.site, axes, k, request.parameters.azimuth)

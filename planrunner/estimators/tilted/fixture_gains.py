@@ -75,7 +75,7 @@ class GainModel:
 
 def gain_model(segments: Sequence[Segment], seconds: Sequence[float | None], site: Site, setup: Setup) -> GainModel:
     """Makes the gain model of segments. Raises `EstimationError` for a segment that is neither a spin nor at rest, and for an
-    unknown orientation."""
+    unknown orientation. `seconds`: recorded durations of the segments, s."""
     for segment in segments:
         if not isinstance(segment.motion, Spin | Rest):
             kind = type(segment.motion).__name__.lower()

@@ -239,7 +239,7 @@ def _by_courses(
     situation: Situation, quantity: InputQuantity, axis: int, courses: Callable[[int], dict[str, Array]]
 ) -> Influence:
     """Returns the influence of an error of one output. `courses`: a function that returns the shapes of the error over the n rates
-    of a series. The errors at different temperatures are independent of each other."""
+    of a series. The errors at different temperatures are independent of each other. `axis`: index of this output's axis."""
     columns, parts = [], []
     width = situation.answers[0].shape[1] * len(QUANTITIES)
     for k, (group, answers) in enumerate(zip(situation.groups, situation.answers, strict=True)):

@@ -54,8 +54,9 @@ def fit_lines(x: Array, f: Array) -> RateLines:
 
 
 def lowest_pair(x: Array) -> tuple[int, int]:
-    """Returns the indices of the lowest positive rate and of the negative rate with the smallest magnitude in a series (n,). If all
-    rates have the same sign, these are the indices of the two lowest rates."""
+    """Returns two indices in a series of rates x (n,): the index of the lowest positive rate, and the index of the negative rate
+    with the smallest magnitude. If all rates have the same sign, these are the indices of the two rates with the smallest
+    magnitudes."""
     order = np.argsort(np.abs(x), kind="stable")
     positive, negative = [k for k in order if x[k] > 0], [k for k in order if x[k] < 0]
     first, second = (positive[0], negative[0]) if positive and negative else (order[1], order[0])

@@ -107,7 +107,8 @@ def _one_rotation_axis(segments: Sequence[Segment]) -> None:
 
 
 def _series(segments: Sequence[Segment], start: list[int], spins: list[int], end: list[int]) -> RateSeries:
-    """Makes a series. Its name is the common beginning of all its labels, such as `20degC/r1`."""
+    """Makes a series from the indices of its segments: the start zero, the rates and the end zero. The name of the series is the
+    common beginning of all its labels, such as `20degC/r1`."""
     every = [*start, *spins, *end]
     paths = [segments[index].label.split("/") for index in every]
     shared = [parts[0] for parts in takewhile(lambda parts: len(set(parts)) == 1, zip(*paths, strict=False))]

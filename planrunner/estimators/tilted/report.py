@@ -340,8 +340,8 @@ def _relative(spread: Array, situation: Situation) -> Array:
 
 
 def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:
-    """Returns the standard uncertainty [rad] of each axis's angle, from the plan or from the calibration of the fixture; zero if
-    none is stated."""
+    """Returns the standard uncertainty [rad] of each axis's angle, shape (m,), from the plan or from the calibration of the
+    fixture; zero if none is stated."""
     axes = situation.conditions.axes
     stated = {f"fixture angle {name}": k for k, name in enumerate(axes.names)}
     found = np.zeros(len(axes.names))
@@ -355,7 +355,7 @@ def _angles(situation: Situation, acting: Sequence[Influence]) -> Array:
 
 
 def _along(situation: Situation) -> Array:
-    """Returns the rotation axis in the fixture's frame."""
+    """Returns the rotation axis as a vector (3,) in the fixture's frame."""
     along = situation.conditions.along
     return np.asarray(along[int(np.argmax(np.abs(along).sum(axis=1)))])
 

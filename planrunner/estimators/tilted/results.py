@@ -92,7 +92,7 @@ def over_temperature(
     kept: Sequence[Item], shown: Sequence[Coefficient], groups: Sequence[Group], axes: MountedAxes, reference: int
 ) -> dict[str, object]:
     """Returns the scale factors at each temperature, in the form that `interface.Estimate` describes for its field `extra`; empty
-    if no temperature is known."""
+    if no temperature is known. `reference`: index of the reference temperature."""
     known = [k for k in range(len(groups)) if np.isfinite(groups[k].kelvin)]
     of = {item.name: one for item, one in zip(kept, shown, strict=True)}
     held: dict[str, object] = {}

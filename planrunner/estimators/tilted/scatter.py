@@ -109,7 +109,8 @@ def scatter_between_repeats(
 def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
     """Flicker makes the results of different repeats correlated. Returns the variances that this correlation adds to the means over
     the repeats, shape (5·m,). A variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, or zero if this mean is negative.
-    fᵣ is the sensitivity of the quantities of repeat r to the means of segments, and C is the covariance of the flicker."""
+    fᵣ is the sensitivity of the quantities of repeat r to the means of segments, and C is the covariance of the flicker. `answers`:
+    array of shape (n, m, 5), sensitivities from `answers_of`."""
     gains, q = answers_to_averages(answers), len(group.spins)
     found = np.zeros(gains.shape[1:])
     for effect in flicker:
@@ -198,7 +199,8 @@ def _about_the_line(
 
 def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other: Array) -> Array:
     """Returns the degrees of freedom of a sum of two variances by the Welch–Satterthwaite formula (JCGM 100:2008, G.4.1). `one`:
-    variance of the residuals. `other`: variance due to the noise of the zeros, which causes no residuals."""
+    variance of the residuals. `other`: variance due to the noise of the zeros, which causes no residuals. Each variance has its own
+    degrees of freedom."""
     known = np.where(freedom_of_other > 0, freedom_of_other, np.inf)
     squares = one**2 / freedom_of_one + other**2 / known
     return np.where(squares > 0, (one + other) ** 2 / np.where(squares > 0, squares, 1.0), freedom_of_one)
@@ -206,7 +208,8 @@ def _effective(one: Array, freedom_of_one: float, other: Array, freedom_of_other
 
 def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, worst: Worst) -> Array:
     """Returns the derivatives ∂`TiltedResults.vector`/∂(means of all groups), shape (count, g·m·5), for g groups, m axes and five
-    quantities of each axis. The repeatability is not a function of the means, so its rows are zero."""
+    quantities of each axis. The repeatability is not a function of the means, so its rows are zero. `reference`: index of the
+    reference temperature."""
     g, m, p = found.means.shape
     each = m * p
     gradient = np.zeros((len(found.vector), g * each))
@@ -224,8 +227,8 @@ def gradient_of(found: TiltedResults, groups: Sequence[Group], reference: int, w
 
 
 def whole(found: TiltedResults, groups: Sequence[Group], scatter: Scatter, gradient: Array) -> tuple[Array, Array]:
-    """Returns the covariance of `TiltedResults.vector`, and the degrees of freedom of its elements. `gradient`: derivatives from
-    `gradient_of`."""
+    """Returns the covariance of `TiltedResults.vector`, shape (count, count), and the degrees of freedom of its elements, shape
+    (count,). `gradient`: derivatives from `gradient_of`."""
     g, m, p = found.means.shape
     count, each = len(found.vector), m * p
     blocks = np.array(

@@ -53,7 +53,8 @@ def part_turns(
     segments: Sequence[Segment], durations: Sequence[float | None], intervals: Sequence[float]
 ) -> list[tuple[str, float]]:
     """Returns, for each spin that does not cover whole turns, its label and the number of its turns. `intervals`: time between
-    samples of each segment, s; a dwell may differ from whole turns by one such interval."""
+    samples of each segment, s; a dwell may differ from whole turns by one such interval. `durations`: recorded durations of the
+    segments, s."""
     found = []
     for segment, seconds, interval in zip(segments, durations, intervals, strict=True):
         if not isinstance(segment.motion, Spin) or seconds is None:
