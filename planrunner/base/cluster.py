@@ -110,7 +110,8 @@ def computed_on_cluster(
 ) -> Iterator[R]:
     """Yields the results of `work` for all items, in the order of the items; see `workers.results_in_order`. `address`: the address
     of the cluster's scheduler. Raises `ClusterError` if the cluster cannot be used, for example because a worker does not see a
-    path among the items, and `ProcessEndedError` if the cluster ends."""
+    path among the items, and `ProcessEndedError` if the cluster ends. `tell`: a function that is called with the completed
+    fraction."""
     if not items:
         return
     terms = _Terms(versions(), os.getcwd())

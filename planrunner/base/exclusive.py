@@ -69,7 +69,8 @@ NO_LINK = open_flags("O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY")
 
 def _open(path: Path, mode: int) -> int:
     """Opens the file. It first tries to open the file without creating it. The reason is that, in a shared folder, a system may
-    permit opening an existing file of another user, but refuse this if the call has the option to create the file."""
+    permit opening an existing file of another user, but refuse this if the call has the option to create the file. `mode`:
+    permissions of the file if it is created."""
     with contextlib.suppress(FileNotFoundError):
         _hold(os.lstat(path), path)
         try:

@@ -179,7 +179,7 @@ class GuardedFolder:
 
     def open_or_make(self, name: str, mode: int = 0o644) -> int:
         """Opens a file for reading and writing, or only for reading if writing is not permitted; returns its descriptor. The file
-        is created if it does not exist."""
+        is created if it does not exist. `mode`: permissions of the file if it is created."""
         where = self._at(_plain(name))
         with contextlib.suppress(FileNotFoundError):
             try:
@@ -240,7 +240,7 @@ class GuardedFolder:
             raise NotOrdinaryError(self.path, "the folder was replaced by another while it was in use")
 
     def _open(self, name: str, flags: int, limit: int | None) -> int:
-        """Opens a regular file that has one name and at most `limit` bytes; returns its descriptor."""
+        """Opens a regular file that has one name and at most `limit` bytes; returns its descriptor. `flags`: flags of `os.open`."""
         path = self.path / _plain(name)
         for look in range(_LOOKS):
             self._check_place()

@@ -85,7 +85,8 @@ def _untold(_: float) -> None:
 
 
 def _up_to_a_failure(work: Callable[[T], R], share: Sequence[T], tell: Callable[[float], None] = _untold) -> list[R]:
-    """Returns the results for the items before the first one that fails."""
+    """Returns the results for the items before the first one that fails. `tell`: a function that is called with the completed
+    fraction after each item."""
     results: list[R] = []
     with contextlib.suppress(Exception):
         for item in share:

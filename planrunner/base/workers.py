@@ -56,7 +56,7 @@ def results_in_order(
     work: Callable[[T], R], items: Sequence[T], workers: Workers, tell: Callable[[float], None] | None = None
 ) -> Iterator[R]:
     """Does the same as `results_of`, except that each result is yielded as soon as all earlier results are available. Not all
-    results need to be in memory at the same time."""
+    results need to be in memory at the same time. The arguments are the same."""
     if workers.scheduler is not None:
         from planrunner.base.cluster import computed_on_cluster
 

@@ -152,7 +152,7 @@ def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
 
 def _check_sampled(motion: Rock, sampled: float | None, mark: Mark, log: Findings) -> None:
     """Checks the condition of the sampling theorem: a sine at half the sample rate or above would be recorded with a wrong
-    frequency."""
+    frequency. `sampled`: sample rate, Hz; None if it is not known."""
     if sampled is None or motion.frequency < sampled / 2 * (1 - 1e-9):
         return
     alias = abs(motion.frequency - sampled * round(motion.frequency / sampled))
@@ -208,7 +208,7 @@ def _elsewhere(
     table: TableModel, motion: Spin, seconds: float | None, state: TableState, models: BenchModels
 ) -> list[Excess]:
     """Returns the limits of the axes that a spin exceeds if it begins at an angle other than the planned one. All angles at which
-    the table may be are examined."""
+    the table may be are examined. `seconds`: time for which the rate is held, s."""
     # The angle of a continuous innermost axis makes no difference to a spin.
     matter = len(table.axes) - 1 if table.axes[-1].continuous else len(table.axes)
     starts = {start[:matter].tobytes(): start for start in state.starts()[1:]}
@@ -235,7 +235,8 @@ def _whole_turns(
     motion: Spin, dwell: float, input_axes: Array | None, models: BenchModels, mark: Mark, log: Findings
 ) -> None:
     """Warns if the spin ends with an incomplete turn that biases the mean of the samples. The bias occurs if an input axis is not
-    parallel to the rotation axis. Such an axis senses a part of the Earth rate that varies during a turn."""
+    parallel to the rotation axis. Such an axis senses a part of the Earth rate that varies during a turn. `dwell`: planned dwell,
+    s. `input_axes`: the same as in `start_motion`."""
     turns = abs(motion.rate) * dwell / (2 * math.pi)
     if abs(turns - round(turns)) < 1e-3 or input_axes is None:
         return

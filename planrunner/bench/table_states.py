@@ -77,7 +77,7 @@ class TableState:
         self, axes: Sequence[TableAxis], joint: int, angle: float, misses: tuple[float, float], stopping: float
     ) -> TableState:
         """Returns the state after a motion that turns a joint by `angle` [rad]. `misses`: largest negative and positive deviation
-        [rad] of the angle at the end of the motion."""
+        [rad] of the angle at the end of the motion. `stopping`: time to come to rest, s."""
         turn = np.zeros(len(self.joints))
         turn[joint] = angle
         low, high = list(self.below or (0.0,) * len(axes)), list(self.above or (0.0,) * len(axes))
@@ -96,7 +96,7 @@ class TableState:
         the shape (3, 3).
 
         Raises `Unreachable`, with the reason, if the attitude cannot be reached from one or more of the angles at which the table
-        may be.
+        may be. `azimuth`: azimuth of the site, rad.
         """
         target, seconds = quickest_move(axes, attitude, self.joints, azimuth)
         if not (self._inexact or self.others) or (len(axes) == 1 and axes[0].continuous):
@@ -152,13 +152,13 @@ def _tried(centre: float, low: float, high: float) -> list[float]:
 
 
 def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:
-    """Returns the differences (n, joints) between pairs of joint angles [rad]. For a continuous axis, whole turns are
-    subtracted."""
+    """Returns the differences between pairs of joint angles [rad], shape (n, joints). For a continuous axis, whole turns are
+    subtracted. `first`, `second`: arrays of shape (n, joints), or (joints,) for the same angles in all pairs."""
     off = first - second
     turns = np.array([TURN if axis.continuous else 0.0 for axis in axes])
     return np.asarray(off - turns * np.round(off / TURN))
 
 
 def _furthest(off: Array) -> Array:
-    """Returns the largest absolute difference among the joints of each row, shape (n,)."""
+    """Returns the largest absolute difference among the joints of each row of `off` (n, joints), shape (n,)."""
     return np.asarray(np.abs(off).max(axis=1))

@@ -22,13 +22,15 @@ class Temperatures:
         self._warned: float | None = None  # time of the change whose soak was reported as too short
 
     def change(self, kelvin: float | None, now: float, mark: Mark) -> float:
-        """Changes the setpoint of the chamber at the time `now` [s]; returns the time [s] until the air has reached it."""
+        """Changes the setpoint of the chamber to `kelvin` at the time `now` [s]; returns the time [s] until the air has reached
+        it."""
         if kelvin is None or not self._within_reach(kelvin, mark):
             return 0.0
         return self._head_for(kelvin, now)
 
     def ramp(self, kelvin: float, now: float, dwell: float | None, mark: Mark) -> None:
-        """Starts, at the time `now` [s], a temperature ramp during which samples are recorded."""
+        """Starts, at the time `now` [s], a temperature ramp to `kelvin` during which samples are recorded. `dwell`: time for which
+        samples are recorded, s; None if it is not known."""
         if not self._within_reach(kelvin, mark):
             return
         assert self._chamber is not None

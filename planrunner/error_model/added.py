@@ -239,6 +239,7 @@ def added(
     observed: Observed, levels: Array, additions: Sequence[Addition], seed: int, orientation: int | None = None
 ) -> Array:
     """Adds all effects to the outputs, one stage after the other. Returns the outputs without noise, in SI units, shape (N, K).
+    `levels`: array of shape (N, K), the outputs before the effects are added.
 
     `seed` and `orientation` are used for data of one segment. `seed`: the seed from which the amplitudes of each orientation are
     drawn. `orientation`: the number of the segment's orientation, counted from 1 in the order of first use. If the data contain
@@ -257,7 +258,8 @@ def added(
 
 
 def _amplitudes(item: Addition, observed: Observed, seed: int, orientation: int | None) -> list[tuple[Column, float]]:
-    """Returns the columns of one added effect, each with its amplitude in SI units."""
+    """Returns the columns of one added effect, each with its amplitude in SI units. `seed`, `orientation`: the same as in
+    `added`."""
     effect, values = item.effect, item.values
     if isinstance(effect, PerOrientation) and len(observed) == 1:
         return _each_orientation(item, observed, seed, orientation)

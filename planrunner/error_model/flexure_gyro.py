@@ -123,7 +123,8 @@ def compensated_rates(outputs: Array, observed: Array, specific_force: Array) ->
 
 
 def _mixing(outputs: Array) -> tuple[Array, Array]:
-    """Returns the matrix M and its inverse, each of shape (2, 2) or (2, 2, n)."""
+    """Returns the matrix M and its inverse, each of shape (2, 2) or (2, 2, n). `outputs`: the output coefficients [U; V], of shape
+    (2, p) or (2, p, n)."""
     mixing = np.asarray(outputs)[:, 1:3]
     determinant = mixing[0, 0] * mixing[1, 1] - mixing[0, 1] * mixing[1, 0]
     scale = np.abs(mixing).max(axis=(0, 1))

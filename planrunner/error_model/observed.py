@@ -58,8 +58,9 @@ def axis_of(name: str) -> int | None:
 
 
 def channel_of(name: str, text: str, white: float, flicker: float, resolution: float) -> Channel | None:
-    """Returns the channel of an output. Returns None if the output measures neither angular rate (a gyro) nor acceleration, or if its
-    name contains no axis. `text`: unit of the output and of its noise, as text."""
+    """Returns the channel of an output. Returns None if the output measures neither angular rate (a gyro) nor acceleration, or if
+    its name contains no axis. `text`: unit of the output and of its noise, as text. `white`, `flicker`, `resolution`: the declared
+    noise, as in `Channel`, but in this unit."""
     kind, axis = KINDS.get(unit(text).dimension), axis_of(name)
     if kind is None or axis is None:
         return None
@@ -117,8 +118,8 @@ def joined(
     bins: Bins | None = None,
     encoder: bool = True,
 ) -> Observed:
-    """Makes an `Observed` by joining segments in the given order. `rejected`, `along`, `bins`, `encoder`: values of the fields of
-    `Observed` with these names."""
+    """Makes an `Observed` by joining segments in the given order. `magnetic`, `rejected`, `along`, `bins`, `encoder`: values of the
+    fields of `Observed` with these names."""
 
     def stacked(parts: Iterable[Array]) -> Array:
         return np.concatenate([np.zeros(0), *parts])
@@ -327,7 +328,7 @@ class Observed:
 
     def _by_course(self, values: Array, part: Callable[[BodyMotion], Array]) -> Array:
         """Returns the given values (N, …), which follow from attitude and table angle. In segments with a recorded motion, they are
-        replaced by the values of this motion."""
+        replaced by the values of this motion. `part`: returns the values of a motion."""
         for rows, course in zip(self.segments(), self.courses, strict=False):
             if course is not None:
                 values[rows] = part(course)

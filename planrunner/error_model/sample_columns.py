@@ -98,7 +98,8 @@ class ErrorsAtSamples:
         return SampleColumns(self._own(felt), tuple(amplitudes), matrix, available)
 
     def output(self, linear: Array, shapes: Mapping[str, float]) -> Array:
-        """Applies the effects on the output (function F) to an output (N,), SI, that already contains all other effects."""
+        """Applies the effects on the output (function F) to an output `linear` (N,), SI, that already contains all other effects.
+        `shapes`: maps each effect to the value of its shape."""
         for part in self.errors.chosen:
             effect = part.effect
             if isinstance(effect, ChangesWithinSegments) and effect.acts_on == "output":

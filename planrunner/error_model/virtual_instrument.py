@@ -249,7 +249,8 @@ class AddedEffects:
         return self.orientations.index(place) + 1
 
     def _note_temperature(self, index: int, warm: Array) -> None:
-        """Updates the sign of the last temperature change at the start of a segment."""
+        """Updates the sign of the last temperature change at the start of a segment. `index`: index of the segment. `warm`:
+        temperatures of the sensor at its first samples."""
         if index != self.segment:
             self.segment = index
             now = float(warm.mean())

@@ -72,7 +72,7 @@ class Lookout:
 
     def look(self, fresh: bool = False) -> None:
         """Queries the instruments if a check is due, or immediately on request. Raises `StoppedAtOnceError` if the operator
-        requested an immediate stop, and `InstrumentError` if an instrument has a fault."""
+        requested an immediate stop, and `InstrumentError` if an instrument has a fault. `fresh`: True for an immediate check."""
         if self._stop.at_once:
             raise StoppedAtOnceError
         if self._lost is not None:

@@ -89,7 +89,8 @@ class Meter:
             self._tell(SegmentBegun(segment.index, segment.label, self._segments, *self._pace(self._behind)))
 
     def advance(self, clock: float, activity: str) -> None:
-        """Sends an event if one is due. The method is called often."""
+        """Sends an event if one is due. The method is called often. `clock`: time on the bench's clock, s. `activity`: what the
+        bench is doing."""
         now = time.monotonic()
         segment = self._segment
         if segment is None or now - self._shown < EVERY:
@@ -109,7 +110,7 @@ class Meter:
 
     def _pace(self, behind: float) -> tuple[float, float | None]:
         """Returns the completed fraction of the planned time, and the expected remaining time [s]; None instead of this time if
-        nothing has been completed yet."""
+        nothing has been completed yet. `behind`: completed planned time, s."""
         total = float(self._segments) if self._by_count else self._total
         fraction = min(1.0, behind / total) if total else 1.0
         done = behind - self._first
@@ -127,6 +128,6 @@ class Meter:
 
 def seconds_behind(schedule: Schedule, done: Callable[[int], bool]) -> float:
     """Returns the planned time [s] of the completed segments. If no segment of the schedule has a planned time, returns the number
-    of completed segments."""
+    of completed segments. `done`: returns True if the segment with this index is completed."""
     times = [segment.seconds for segment in schedule.segments if done(segment.index)]
     return sum(times) if any(segment.seconds for segment in schedule.segments) else float(len(times))

@@ -125,7 +125,7 @@ class Reaching:
 
     def _wait_until_settled(self, segment: Segment, seconds: float, stability: Stability | None) -> None:
         """Waits until the quantities that must settle have stayed within their limits for the required time. If the plan names no
-        such quantities, or if no instrument measures them, waits for a fixed time."""
+        such quantities, or if no instrument measures them, waits for `seconds` instead."""
         if stability is None or not self._lookout.sees:
             self.pause(seconds)
             return
@@ -357,7 +357,7 @@ class Readings:
 
 def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Readings:
     """Returns the readings that apply to the state of a segment. If the temperature follows a profile, its deviation from a
-    setpoint and its drift are not read."""
+    setpoint and its drift are not read. `over`: time over which a drift is measured, s."""
     if segment.ramp_to is not None:
         return Readings(over)
     names = {id(item): name for name, item in bench.instruments.items()}
@@ -366,7 +366,8 @@ def readings_of(bench: ConnectedBench, segment: Segment, over: float) -> Reading
 
 
 def outside(limits: Mapping[str, float], values: Mapping[str, float]) -> list[str]:
-    """Returns a text for each reading that exceeds its limit. A limit without a known reading is ignored."""
+    """Returns a text for each reading that exceeds its limit. A limit without a known reading is ignored. `values`: maps each known
+    reading to its value."""
     return [
         f"{_shown(name, values[name])} is more than the {_amount(name, limit)} that the plan allows"
         for name, limit in limits.items()
@@ -425,7 +426,7 @@ class Holding:
 
     def check(self, fresh: bool = False) -> None:
         """Checks the bench if a check is due, or immediately on request. Raises `LimitPassedError` and the errors of
-        `Lookout.look`."""
+        `Lookout.look`. `fresh`: True for an immediate check."""
         self._lookout.look(fresh=fresh or not self._begun)
         self._begun = True
         if self._looks == self._lookout.looks:

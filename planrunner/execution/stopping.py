@@ -35,7 +35,7 @@ class StopRequest:
         self._restore: dict[int, SignalHandler] = {}
 
     def request(self, *, at_once: bool = False, reason: str = "asked to stop") -> None:
-        """Requests to stop after the segment, or at once."""
+        """Requests to stop at once if `at_once` is True, otherwise after the segment."""
         self.after_segment = True
         self.at_once = self.at_once or at_once
         self.reason = reason

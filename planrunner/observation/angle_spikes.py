@@ -61,7 +61,8 @@ class AngleSpikes:
         self.found: list[Find] = []
 
     def add(self, values: Array, first: int, time: Array) -> None:
-        """Adds the next samples. `first`: row number of the first of these samples. Samples that are not finite are left out."""
+        """Adds the next samples. `values`, `time`: arrays of shape (n,), the samples and their times [s]. `first`: row number of
+        the first of these samples. Samples that are not finite are left out."""
         for low in range(0, len(values), _PIECE):
             part = slice(low, low + _PIECE)
             self._add(values[part], first + low, time[part])
@@ -98,8 +99,8 @@ class AngleSpikes:
         self.parts, self.held, self.begun = [(values[kept].copy(), rows[kept], time[kept])], min(n, 2 * _CONTEXT), True
 
     def _spikes(self, values: Array, low: int, high: int) -> list[tuple[int, float, float]]:
-        """Returns the row number, the deviation and the noise of each spike with an index from `low` up to but not including
-        `high`."""
+        """Returns the index, the deviation and the noise of each spike among the samples `values` (n,) with an index from `low` up
+        to but not including `high`."""
         turn = 2 * math.pi * self.radian
         x = np.unwrap(values, period=turn) if np.ptp(values) > turn / 2 else values
         off = np.zeros(len(x))
@@ -130,8 +131,8 @@ class AngleSpikes:
         return max(_COUNTS * self.count, _SMALLEST * self.radian)
 
     def _judged(self, x: Array, k: int, scale: float) -> list[tuple[int, float, float]]:
-        """If the sample k is a spike, returns its row number, its deviation and the noise, and replaces the sample in x; otherwise
-        returns an empty list."""
+        """If the sample x[k] is a spike, returns its index, its deviation and the noise as the only entry of a list, and replaces
+        the sample in x; otherwise returns an empty list. `scale`: estimate of the size of the deviations around the sample."""
         off = float(_off_course(x[k - _SIDE : k + _SIDE + 1])[0])
         least = max(self.factor * scale, self._smallest)
         if abs(off) <= least or abs(off) <= self._seen_counts(x, k):
@@ -148,15 +149,16 @@ class AngleSpikes:
         return [(k, off, scale / _FACTOR)]
 
     def _seen_counts(self, x: Array, k: int) -> float:
-        """Returns the smallest deviation that rounding cannot cause. This deviation is estimated from the steps between the other
-        samples."""
+        """Returns the smallest deviation of the sample x[k] that rounding cannot cause. This deviation is estimated from the steps
+        between the other samples of x (n,)."""
         bends = np.abs(np.diff(x, 2))
         bends[max(k - 2, 0) : k + 1] = 0.0
         bends = bends[bends > _ROUNDED * self.radian]
         return min(_COUNTS * float(bends.min(initial=math.inf)), _COARSE * self.radian)
 
     def _at_the_end(self, x: Array) -> list[tuple[int, float, float]]:
-        """Finds a spike among the first samples of x. For the last samples of a segment, x must be reversed."""
+        """Finds a spike among the first samples of x (n,). For the last samples of a segment, x must be reversed. Returns its index
+        in x, its deviation and the noise as the only entry of a list; the list is empty if there is no spike."""
         scale = _SCALE * float(np.median(np.abs(_off_parabola(x))))
         for k in range(1, _SIDE):
             off = float(_off_parabola(x[k : k + 4])[0])
@@ -171,12 +173,13 @@ class AngleSpikes:
 
 
 def _off_course(x: Array) -> Array:
-    """Returns the deviations of samples from the interpolation through their six neighbours, three on each side, shape (n − 6,)."""
+    """Returns the deviations of the samples x (n,) from the interpolation through their six neighbours, three on each side, shape
+    (n − 6,)."""
     return np.correlate(x, _WEIGHTS, "valid")
 
 
 def _off_parabola(x: Array) -> Array:
-    """Returns the deviations of samples from the parabola through the next three samples, shape (n − 3,)."""
+    """Returns the deviations of the samples x (n,) from the parabola through the next three samples, shape (n − 3,)."""
     return np.correlate(x, _PARABOLA, "valid")
 
 

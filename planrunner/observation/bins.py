@@ -161,8 +161,8 @@ def _look_at(values: Array, counts: Array, out: Averaged) -> None:
 
 
 def _upper(values: Array, out: Averaged) -> None:
-    """Adds the energy that a piece has in the upper three quarters of the orders of its cosine transform. These orders belong to
-    frequencies above one eighth of the sampling rate."""
+    """Adds to `out` the energy that the samples `values` (K, n) of a piece have in the upper three quarters of the orders of their
+    cosine transform. These orders belong to frequencies above one eighth of the sampling rate."""
     from scipy.fft import dct
 
     quarter = values.shape[1] // 4
@@ -173,8 +173,9 @@ def _upper(values: Array, out: Averaged) -> None:
 
 
 def without_spikes(values: Array, smallest: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Replaces outliers in samples (K, n) by linear interpolation. Returns the samples and the number of outliers in each channel
-    (K,). An outlier lies far from the mean of its four neighbours.
+    """Replaces outliers in the samples `values` (K, n) by linear interpolation. Returns the samples and the number of outliers in
+    each channel (K,). An outlier lies far from the mean of its four neighbours. `smallest`: array of shape (K,), lower limit of the
+    noise that is assumed, in the channels' units.
 
     For white noise, the difference between a sample and this mean has 1.25 times the variance of the noise. If there are several
     outliers within two samples, the largest is replaced first.

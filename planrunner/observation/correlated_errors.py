@@ -39,14 +39,15 @@ class CorrelatedError:
 
     def covariance(self, one: int, other: int) -> Array | float:
         """Returns the contribution of the error to the covariance between the observations of two outputs, shape (n, n). The result
-        is 0.0 if the error does not act on both outputs."""
+        is 0.0 if the error does not act on both outputs. `one`, `other`: indices of the outputs."""
         if one not in self.changes or other not in self.changes:
             return 0.0
         return np.asarray(self.quantity.standard_uncertainty**2 * (self.changes[one] @ self.changes[other].T))
 
     def through(self, functionals: Array, in_scatter: bool = False) -> Influence:
         """Computes how the error influences q quantities, which depend linearly on the observations. `functionals`: array of shape
-        (q, m, n), the derivative of each quantity with respect to each of the n observations of each of the m outputs."""
+        (q, m, n), the derivative of each quantity with respect to each of the n observations of each of the m outputs.
+        `in_scatter`: True if the scatter of the data already contains the effect of the error."""
         moved = sum(functionals[:, output] @ change for output, change in self.changes.items())
         return Influence(self.quantity, np.asarray(moved), in_scatter, self.parts)
 
@@ -60,7 +61,8 @@ def functionals_of(gains: Array) -> Array:
 
 
 def explained(effects: Sequence[CorrelatedError], output: int) -> Array | float:
-    """Returns the contribution of correlated errors to the variance within the segments, shape (n,)."""
+    """Returns the contribution of correlated errors to the variance of an output within the segments, shape (n,). `output`: index
+    of the output."""
     shares = (one.quantity.standard_uncertainty**2 * one.within[output] for one in effects if output in one.within)
     return sum(shares, 0.0)
 

@@ -178,7 +178,7 @@ def _courses(
 ) -> list[DriftCourse]:
     """Returns the drift functions whose names are among `names`. Drift functions of the temperature are included only if the
     temperature is known and changes between the given rows. `start`, `end`, `seconds` and `kelvin` have the shape (n,), as in
-    `in_time`."""
+    `in_time`. `by_evidence`: True if the data decide which functions are fitted."""
     courses = list(in_time(start, end, seconds))
     if kelvin is not None:
         changed = float(np.ptp(kelvin[rows]))
@@ -204,7 +204,8 @@ def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)
 def _with_temperature(middle: Array, kelvin: Array, seconds: Array, names: Sequence[str]) -> tuple[DriftCourse, ...]:
     """Returns the drift functions of the temperature whose names are among `names`. `middle`: array of shape (n,), middle times of
     the segments, s. `kelvin`: array of shape (n,), temperatures of the segments, K. The rate of change of the temperature is
-    computed from the temperatures of the neighbouring segments."""
+    computed from the temperatures of the neighbouring segments. `seconds`: array of shape (n,), recorded time of the used samples,
+    s."""
     if len(kelvin) < 2 or np.ptp(kelvin) < _STEADY:
         return ()
     by_level, by_rate = WITH_TEMPERATURE
@@ -222,7 +223,8 @@ def _centred(values: Array, seconds: Array) -> Array:
 
 
 def recorded_thermometer(segments: Sequence[RecordedSegment], channel: str | None, by_evidence: bool) -> str | None:
-    """Returns the thermometer among the channels that all segments record. The thermometer is chosen as in `thermometer_of`."""
+    """Returns the thermometer among the channels that all segments record. The thermometer is chosen as in `thermometer_of`.
+    `channel`, `by_evidence`: the same as there."""
     return thermometer_of(_common(segments), channel, by_evidence)
 
 
@@ -231,7 +233,8 @@ def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: b
 
     `units`: units of the channels that every segment has. `channel`: the channel that the plan names, or None. Raises
     `EstimationError` if the named channel is not a recorded temperature, or if the plan requires a thermometer but there is none,
-    or more than one.
+    or more than one. `by_evidence`: True if the data decide which drift functions are fitted, so that the plan does not require a
+    thermometer.
     """
     thermometers = [name for name in sorted(units) if _is_temperature(units[name])]
     if channel is not None:

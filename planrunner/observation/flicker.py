@@ -50,7 +50,8 @@ def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> t
 def _effects(
     observations: Observations, stated: Mapping[int, InputQuantity], span: float
 ) -> tuple[CorrelatedError, ...]:
-    """Returns the flicker of the outputs whose bias instability is given. `stated`: bias instability by the index of the output."""
+    """Returns the flicker of the outputs whose bias instability is given. `stated`: bias instability by the index of the output.
+    `span`: time span around the test, over which a constant is the average, s."""
     if not stated:
         return ()
     root = _root(mean_covariance(observations.start, observations.end, span))
@@ -128,7 +129,8 @@ def weighted_covariance(weights: Array, step: float, span: float) -> Array:
 
 
 def _mean_logarithm(low: Array, high: Array) -> Array:
-    """Returns the average of ln|t − t′| over t in one interval and t′ in another, for all pairs of n intervals, shape (n, n)."""
+    """Returns the average of ln|t − t′| over t in one interval and t′ in another, for all pairs of n intervals, shape (n, n).
+    `low`, `high`: arrays of shape (n,), start and end of each interval."""
     return _between(low, high, low, high)
 
 

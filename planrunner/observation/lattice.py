@@ -19,7 +19,7 @@ _PIECE = 4096  # values taken at once
 
 
 def levels_of(values: Array, step: float) -> Array:
-    """Returns the n distinct values of a channel in units of the declared count, in ascending order."""
+    """Returns the n distinct values of a channel in units of the declared count `step`, in ascending order, shape (n,)."""
     return np.unique(np.round(values / step, 2))
 
 

@@ -222,8 +222,8 @@ def _correlation_of_means(samples: Array, segments: Sequence[RecordedSegment], c
 
 
 def recorded_times(segments: Sequence[RecordedSegment]) -> tuple[Array, Array]:
-    """Returns the start and end times [s] of the recorded segments. If segments overlap, their recorded times do not come from the
-    same clock; in this case, the planned start times are used."""
+    """Returns the start and end times [s] of the n recorded segments as two arrays (n,). If segments overlap, their recorded times
+    do not come from the same clock; in this case, the planned start times are used."""
     start = np.array([recorded.statistics.start for recorded in segments])
     length = np.array([max(recorded.statistics.duration, 1e-9) for recorded in segments])
     order = np.argsort(start)
@@ -291,8 +291,8 @@ def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
 
 
 def dithered(sensor: SensorModel, channel: str, variance: float | Array) -> NDArray[np.bool_]:
-    """Returns True if the noise of the samples is large enough to dither the mean of the channel (`NoiseModel.dithers`).
-    `variance`: variance of the samples, in the channel's squared unit."""
+    """Returns True for each variance that is large enough for the noise of the samples to dither the mean of the channel
+    (`NoiseModel.dithers`). `variance`: variance of the samples, in the channel's squared unit."""
     return _noise(sensor, channel).dithers(variance)
 
 
@@ -302,7 +302,7 @@ def _noise(sensor: SensorModel, channel: str) -> NoiseModel:
 
 def _rounding(sensor: SensorModel, channel: str, variances: Array) -> Array:
     """Returns the contribution (n,) of rounding to the uncertainty of each mean: resolution/√12 if the noise is too small to dither
-    the rounding, otherwise zero."""
+    the rounding, otherwise zero. `variances`: array of shape (n,), variances of the samples in each segment."""
     noise = _noise(sensor, channel)
     return np.where(noise.dithers(variances), 0.0, noise.resolution / math.sqrt(12))
 

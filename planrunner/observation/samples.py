@@ -77,7 +77,8 @@ def observed(
     of the recording, s. `free_angle`: determines the angle of a table without encoder. If it is True, the angle that agrees best
     with the Earth's rate is used. An input that varies once per turn with an unknown phase then counts as noise, as in a diagnosis
     (`Observed.unknown_phase`). If False, the angle is zero at the first sample, unless gravity shows the angle. Raises
-    `ObservationError` if the recording cannot be diagnosed.
+    `ObservationError` if the recording cannot be diagnosed. `magnetic`: the Earth's magnetic field in East-North-Up, if it is
+    declared.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -203,8 +204,8 @@ def _start_angle(
     free_angle: bool,
 ) -> float:
     """Returns the angle [rad] of a table without encoder at the first sample. If gravity shows the angle, it is found from the
-    accelerometers. Otherwise, the angle is found from all channels if `free_angle` is True, and is zero if `free_angle` is
-    False."""
+    accelerometers. Otherwise, the angle is found from all channels if `free_angle` is True, and is zero if `free_angle` is False.
+    `since`: array of shape (n,), time since the first sample, s. `values`: array of shape (n, K), outputs in SI units."""
     accelerometers = [channel.axis for channel in channels if channel.kind == "accel"]
     by_gravity = angle_from(motion, attitude, site, accelerometers) is AngleFrom.GRAVITY
     if not by_gravity and not free_angle:
@@ -416,7 +417,7 @@ def recorded_course(
 
 def supposed_course(time: Array, site: Site) -> MotionShown:
     """Returns an assumed motion about all axes, for a segment that has not been recorded yet. The motion is chosen such that every
-    effect can act. Numbers that are reported must not depend on this motion."""
+    effect can act. Numbers that are reported must not depend on this motion. `time`: array of shape (n,), s."""
     since = time - time[0]
     rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))
     zero = np.zeros(len(time))
@@ -425,7 +426,7 @@ def supposed_course(time: Array, site: Site) -> MotionShown:
 
 
 def _stacked(names: tuple[str, ...], shown: Mapping[str, Array]) -> Array | None:
-    """Returns the named channels as columns (n, k); None if no channels are named."""
+    """Returns the named channels as columns (n, k); None if no channels are named. `shown`: the values (n,) of each channel."""
     return np.column_stack([shown[name] for name in names]) if names else None
 
 

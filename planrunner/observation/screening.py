@@ -448,7 +448,8 @@ class Screening:
     ) -> None:
         """Examines whole pieces of one channel, or the last, shorter piece. There is nothing to report in a piece if no sample is
         far from the mean and each sample differs from the previous one. This check is fast, so it is made for several pieces
-        together."""
+        together. `k`: index of the channel. `values`, `times`: arrays of shape (n,). `means`: means over short groups of samples,
+        if known. `low`, `high`: bounds within which all values lie."""
         last = self._last(k)
         pieces = max(len(values) // _PIECE, 1)
         size = len(values) // pieces
@@ -497,7 +498,8 @@ class Screening:
     def _piece(
         self, k: int, values: Array, rows: Numbered, times: Array, begin: int, end: int, last: _Last | None
     ) -> None:
-        """Examines the piece of a channel from the index `begin` to the index `end` of the given samples."""
+        """Examines the piece of the channel k from the index `begin` to the index `end` of the given samples. `last`: the sample
+        before the piece, if any."""
         own, own_rows, own_times = values[begin:end], _numbers(rows[begin:end]), times[begin:end]
         if last is not None:
             own = np.concatenate([[last.value], own])
@@ -538,7 +540,8 @@ class Screening:
         return max(float(self.counts[k]), seen if math.isfinite(seen) else 0.0)
 
     def _extremes(self, k: int, values: Array, level: float) -> None:
-        """Counts the samples at the largest and at the smallest value, and those close to these values."""
+        """Counts the samples at the largest and at the smallest value, and those close to these values. `k`: index of the channel.
+        `level`: mean change from sample to sample."""
         beside = max(0.1 * level, 1.01 * self._count(k))
         for sign, extreme, tally in ((1.0, self.largest, self.at_top), (-1.0, -self.smallest, self.at_bottom)):
             own = sign * values
@@ -555,7 +558,7 @@ class Screening:
                 self.smallest[k] = -known
 
     def _examine(self, k: int, window: _Window) -> None:
-        """Finds outliers near large changes, by their distance from local medians."""
+        """Finds outliers near large changes, by their distance from local medians. `k`: index of the channel."""
         x = window.values
         if len(x) < _LEAST or not _stands_out(window):
             return
@@ -841,7 +844,7 @@ def _off(values: Array, size: int, places: RowNumbers) -> Array:
 
 
 def _mean_around(values: Array, size: int) -> Array:
-    """Returns, for each of n values, the mean of the `size` values around it."""
+    """Returns, for each of n values, the mean of the `size` values around it, shape (n,)."""
     sums = np.concatenate(([0.0], np.cumsum(np.pad(values, size // 2, mode="reflect"))))
     return np.asarray((sums[size:] - sums[:-size]) / size)
 

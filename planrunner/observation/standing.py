@@ -72,7 +72,7 @@ def _range(item: RecordedSegment, name: str) -> float:
 
 def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name: str, chance: float) -> bool:
     """Returns True if the noise of the channel in other segments would have changed its value in this segment. The noise is taken
-    from the nearest segments in which the channel changes."""
+    from the nearest segments in which the channel changes. `chance`: the same as in `leaves_count`."""
     still = isinstance(item.segment.motion, Rest)
     alike = [one for one in changing if not still or isinstance(one.segment.motion, Rest)]
     nearest = sorted(alike, key=lambda one: abs(one.statistics.start - item.statistics.start))[:_COMPARED]
@@ -80,7 +80,7 @@ def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name:
 
 
 def _samples(item: RecordedSegment, name: str) -> Array:
-    """Returns the first samples of a channel; missing numbers are left out."""
+    """Returns the first samples of a channel, shape (n,); missing numbers are left out."""
     parts, count = [], 0
     for block in item.blocks((name,)):
         values = np.asarray(block.channels[name], dtype=float)[: _READ - count]
@@ -92,8 +92,8 @@ def _samples(item: RecordedSegment, name: str) -> Array:
 
 
 def _moves(values: Array, samples: int, chance: float) -> bool:
-    """Determines the noise of the values (n,). Returns True if noise of this size would change at least one of `samples`
-    samples."""
+    """Determines the noise of the values (n,). Returns True if noise of this size would change at least one of `samples` samples.
+    `chance`: the probability of no change up to which a change counts as certain."""
     if len(values) < _LEAST:
         return False
     first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))
@@ -117,7 +117,8 @@ def leaves_count(noise: float, count: float, samples: int, chance: float) -> boo
 
 
 def _by_declaration(item: RecordedSegment, output: OutputModel | None, rate: float, chance: float) -> bool:
-    """Returns True if the noise that the bench file declares for single samples would have moved the channel to another count."""
+    """Returns True if the noise that the bench file declares for single samples would have moved the channel to another count.
+    `rate`: sample rate, Hz. `chance`: the same as in `leaves_count`."""
     if output is None or not output.noise.white > 0 or output.noise.counted:
         return False
     noise = output.noise.white * math.sqrt(item.segment.sample_rate or rate)

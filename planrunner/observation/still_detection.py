@@ -102,7 +102,7 @@ def _centred(
     """Yields the samples that are centres of windows, in pieces. Each piece consists of times (n,), values (n, k), a mask (n,) of
     the still samples, the number of samples per window, and whether the sample rate has changed before the piece. Rows with a
     missing number are left out. A window that lasts more than 1.5 times its nominal length, because rows are missing, does not
-    count as still."""
+    count as still. `limits`: array of shape (k,), threshold of each channel."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length, restarted = 0, False

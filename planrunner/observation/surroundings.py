@@ -41,7 +41,8 @@ class Temperature:
 
 
 def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> Temperature:
-    """Returns the smoothed reading of the thermometer. If `kelvin` is None, returns the planned temperature."""
+    """Returns the smoothed reading of the thermometer. If `kelvin` is None, returns the planned temperature. `time`: array of shape
+    (n,), s. `kelvin`: array of shape (n,), readings of the thermometer, K."""
     if kelvin is None:
         planned = item.segment.begins_at
         celsius = REFERENCE_TEMPERATURE if planned is None else planned - ZERO_CELSIUS
@@ -80,7 +81,7 @@ def smoothed(time: Array, values: Array) -> Temperature:
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
     """Replaces the temperatures of segments at a common constant setpoint by their mean, if the thermometer shows no difference
     between them (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if the temperature is not
-    constant."""
+    constant. `parts`: the samples of each segment, by name of the quantity; they are changed."""
     from scipy.special import chdtrc
 
     setpoints = [item.segment.temperature if item.segment.ramp_to is None else None for item in recording]
@@ -131,8 +132,9 @@ class Monitors:
         return [one for one in (self.thermometer, self.voltmeter, self.barometer) if one is not None]
 
     def excess_of(self, item: RecordedSegment, time: Array, table: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns the overvoltage and the overpressure at the n samples of a segment. The values are computed from smoothed
-        recorded values if there are any."""
+        """Returns the overvoltage [V] and the overpressure [Pa] at the n samples of a segment, each of shape (n,). The values are
+        computed from smoothed recorded values if there are any. `time`: array of shape (n,), s. `table`: the values (n,) of each
+        recorded channel, in its unit."""
         planned = planned_excess(item.segment, self.nominal_supply)
         found = {}
         for name, channel, reference, stated in (

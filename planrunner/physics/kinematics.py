@@ -103,16 +103,16 @@ def joint_angles(
 def quickest_move(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> tuple[Array, float]:
-    """Returns the joint angles as in `joint_angles`, and the time [s] that the move takes. Raises `Unreachable`, which states the
-    reason, if the attitude cannot be reached."""
+    """Returns the joint angles (n,) as in `joint_angles`, and the time [s] that the move takes. The arguments are the same as
+    there. Raises `Unreachable`, which states the reason, if the attitude cannot be reached."""
     start = np.asarray(near, dtype=float).tobytes()
     angles, seconds = _quickest_move(tuple(axes), np.asarray(target, dtype=float).tobytes(), start, azimuth)
     return np.array(angles), seconds
 
 
 def quickest_ends(axes: Sequence[TableAxis], target: Array, starts: Array, azimuth: float = 0.0) -> Array:
-    """Computes the joint angles that `quickest_move` gives from each of n starts. Starts and results have the shape (n, joints). Do
-    not modify the result: it is cached."""
+    """Computes the joint angles that `quickest_move` gives for the attitude `target` (3, 3) from each of n starts. Starts and
+    results have the shape (n, joints). Do not modify the result: it is cached."""
     return _quickest_ends(tuple(axes), np.asarray(target, dtype=float).tobytes(), starts.tobytes(), azimuth)
 
 
@@ -197,7 +197,7 @@ def move_time(angle: float, max_rate: float, max_acceleration: float) -> float:
 
 def transition_time(axes: Sequence[TableAxis], start: Sequence[float] | Array, end: Sequence[float] | Array) -> float:
     """Returns the time [s] of a move from rest to rest between two sets of joint angles [rad]. All axes move at the same time, so
-    the slowest one determines the time."""
+    the slowest one determines the time. `start`, `end`: arrays of shape (n,), the two sets of joint angles."""
     moves = zip(axes, start, end, strict=True)
     return max(move_time(stop - begin, axis.max_rate, axis.max_acceleration) for axis, begin, stop in moves)
 
@@ -209,7 +209,7 @@ def spin_up_time(axis: TableAxis, rate: float) -> float:
 
 def joint_directions(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth: float = 0.0) -> Array:
     """Returns the directions of all axes at these joint angles, as unit vectors in East-North-Up, shape (n, 3). Do not modify the
-    result: it is cached."""
+    result: it is cached. `azimuth`: azimuth of the site, rad."""
     return _joint_directions(tuple(axes), np.asarray(angles, dtype=float).tobytes(), azimuth)
 
 
@@ -304,8 +304,8 @@ def _inner(axes: Sequence[TableAxis], outer: float, middle: float, wanted: Array
 
 def _locked_family(axes: Sequence[TableAxis], middle: float, wanted: Array, near: Sequence[float]) -> list[Angles]:
     """Returns the solutions in gimbal lock. If the outer and the inner axis are parallel, only the sum of their angles matters. In
-    each of the returned solutions, one of the two axes keeps its angle or goes to a limit.
-    """
+    each of the returned solutions, one of the two axes keeps its angle or goes to a limit. `middle`: angle of the middle axis, rad.
+    `wanted`: array of shape (3, 3), the rotation of the platform. `near`: the present joint angles, rad."""
     outer, inner = axes[0], axes[2]
     turned = rotation_about(axes[1].direction, middle) @ np.asarray(inner.direction)
     same_way = 1.0 if float(np.dot(outer.direction, turned)) > 0 else -1.0

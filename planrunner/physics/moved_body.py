@@ -54,7 +54,7 @@ def averaged(values: Array, size: int) -> Array:
 def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None = None) -> BodyMotion:
     """Computes the motion from unit quaternions (n, 4), real part first. The quaternions transform vectors from the sensor's axes
     to East-North-Up. `force`: array of shape (n, 3), measured specific force; by default, the specific force of a sensor that only
-    rotates."""
+    rotates. `time`: array of shape (n,), s."""
     from scipy.spatial.transform import Rotation
 
     attitude = Rotation.from_quat(quaternions, scalar_first=True).as_matrix().swapaxes(1, 2)
@@ -67,7 +67,8 @@ def by_attitude(time: Array, quaternions: Array, site: Site, force: Array | None
 def by_rates(time: Array, omega: Array, start: Array | None, site: Site, force: Array | None = None) -> BodyMotion:
     """Computes the motion from measured angular rates (n, 3) relative to inertial space. `start`: array of shape (3, 3), attitude
     at the first sample, or None if it is unknown. `force`: array of shape (n, 3), measured specific force; by default, the specific
-    force of a sensor that only rotates. If the attitude is unknown and `force` is not given, the specific force is zero."""
+    force of a sensor that only rotates. If the attitude is unknown and `force` is not given, the specific force is zero. `time`:
+    array of shape (n,), s. `omega`: array of shape (n, 3), these rates, rad/s."""
     n = len(time)
     if start is None:
         nothing = np.zeros((n, 3))
@@ -109,7 +110,7 @@ def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
 
 def rates_of(time: Array, attitude: Array) -> Array:
     """Computes the angular rates in the body's axes from the two neighbours of each sample. Returns an array of shape (n, 3).
-    `attitude`: array of shape (n, 3, 3), transforms vectors to the body's axes."""
+    `attitude`: array of shape (n, 3, 3), transforms vectors to the body's axes. `time`: array of shape (n,), s."""
     from scipy.spatial.transform import Rotation
 
     before, after = np.r_[0, np.arange(len(time) - 1)], np.r_[np.arange(1, len(time)), len(time) - 1]

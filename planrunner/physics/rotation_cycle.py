@@ -153,13 +153,15 @@ class RotationCycle:
 
 @cache
 def _gauss_legendre() -> tuple[Array, Array]:
-    """Returns the ten nodes of the Gauss–Legendre quadrature, and their weights. The nodes are cached, because numpy must load its
-    polynomials to compute them, and few plans need them."""
+    """Returns the ten nodes of the Gauss–Legendre quadrature, and their weights, as two arrays (10,). The nodes are cached, because
+    numpy must load its polynomials to compute them, and few plans need them."""
     return np.polynomial.legendre.leggauss(10)
 
 
 def _ramps(begins: Array, lasting: Array, angles: Array, rates: Array, slopes: Array, frequency: float) -> Array:
-    """Returns the integrals (n,) of exp(i(θ − ωt)) over n ramps [s], by quadrature on panels."""
+    """Returns the integrals (n,) of exp(i(θ − ωt)) over n ramps [s], by quadrature on panels. `begins`, `lasting`: arrays of shape
+    (n,), start and duration of each ramp, s. `angles`, `rates`, `slopes`: arrays of shape (n,), angle [rad], rate [rad/s] and
+    acceleration [rad/s²] at its start. `frequency`: ω, rad/s."""
     nodes, weights = _gauss_legendre()
     span = (np.maximum(np.abs(rates), np.abs(rates + slopes * lasting)) + abs(frequency)) * lasting
     panels = np.maximum(1, np.ceil(span)).astype(int)

@@ -82,7 +82,7 @@ def once_per_turn(motion: Spin, attitude: Array, vector: Array) -> Array:
 
 def along_axis(motion: Spin, attitude: Array, vector: Array) -> Array:
     """Returns the part of a site vector along the axis of the table, seen in sensor axes (3,). This part does not change while the
-    table turns."""
+    table turns. `attitude`: array of shape (3, 3), attitude at table angle 0."""
     about = np.asarray(motion.about, dtype=float)
     return np.asarray(attitude @ ((about @ vector) * about))
 
@@ -141,6 +141,6 @@ def fading(motion: Motion, size: int, rate: float) -> float:
 
 
 def turned_by(motion: Motion, since: Array) -> Array:
-    """Returns the planned angle of a table at the times `since` [s], rad. The angle is zero if the table does not turn
-    continuously."""
+    """Returns the planned angle of a table at the times `since` [s], rad, in the shape of `since`. The angle is zero if the table
+    does not turn continuously."""
     return motion.rate * since if isinstance(motion, Spin) else np.zeros(len(since))

@@ -198,7 +198,8 @@ def _filled(
     used: set[str],
     log: Findings,
 ) -> str:
-    """Returns the text of `key` after its {placeholders} have been replaced; adds the names of the placeholders to `used`."""
+    """Returns the text of `key` after its {placeholders} have been replaced; adds the names of the placeholders to `used`. `turn`:
+    number that replaces {repeat}."""
 
     def fill(match: re.Match[str]) -> str:
         name = match[1]

@@ -624,7 +624,8 @@ class RecordOf:
 
 
 def object_schema(fields: Mapping[str, dataclasses.Field[Any]], closed: bool = True) -> Schema:
-    """Returns the JSON Schema of a mapping: every key with its description and an example."""
+    """Returns the JSON Schema of a mapping: every key with its description and an example. `closed`: True if other keys are not
+    permitted."""
     properties = {}
     for name, item in fields.items():
         meta = item.metadata

@@ -110,7 +110,7 @@ def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Lab
 
 def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findings) -> None:
     """Adds one warning for each position in the plan that defines unused segments, even if several unused segments are defined
-    there."""
+    there. `used`: indices of the used segments."""
     unused: dict[Mark, list[str]] = {}
     for index, segment in enumerate(segments):
         if index not in used and not segment.conditioning:

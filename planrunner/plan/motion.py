@@ -31,7 +31,8 @@ _FORMS = "rate, rock, cycle and recorded"
 
 
 def motion_of(state: State, marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
-    """Returns the motion of one segment; None if it was not valid and a finding was added."""
+    """Returns the motion of one segment; None if it was not valid and a finding was added. `dwell`: planned dwell, s; None if it is
+    not known."""
     if state.rate is not None:
         return Spin(state.rate.value) if state.rate.value else Rest()
     motion = state.motion

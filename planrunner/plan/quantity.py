@@ -430,7 +430,8 @@ def anchored(pattern: str) -> str:
 
 
 def text_schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
-    """Returns the JSON Schema of a quantity that is written as a text. The schema does not check the unit; `planrunner check` does."""
+    """Returns the JSON Schema of a quantity that is written as a text. The schema does not check the unit; `planrunner check` does.
+    `uncertain`: True if an uncertainty may be stated."""
     if takes_bare_number(dimension):
         pattern = BARE_OR_WITH_UNIT if uncertain else rf"(?:{_PLAIN_BARE}|{PLAIN})"
         return {"type": ["string", "number"], "maxLength": _MAX_TEXT, "pattern": anchored(pattern)}

@@ -44,7 +44,7 @@ def cardinal_orientations() -> tuple[Matrix, ...]:
 def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
     """Returns the text with which a plan states the orientation. If the axes are cardinal, the text is words only. Otherwise, it
     gives the nearest cardinal orientation in words, followed by the turns about x, y and z (in this order) that lead from there to
-    the orientation."""
+    the orientation. `decimals`: largest number of decimals of an angle in degrees."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     turns = [
         f"{axis} {_degrees(angle, decimals)} deg"
@@ -85,8 +85,9 @@ def _degrees(angle: float, decimals: int) -> str:
 
 
 def with_orientations(text: str, replacements: Mapping[tuple[int, int], str]) -> str:
-    """Replaces the orientations that begin at the given positions (line, column), and returns the new text. Lines and columns count
-    from 1. Raises `RewriteError` if no orientation begins at one of these positions."""
+    """Replaces the orientations that begin at the given positions, and returns the new text. `replacements`: maps each position
+    (line, column) to the new orientation. Lines and columns count from 1. Raises `RewriteError` if no orientation begins at one of
+    these positions."""
     spans = []
     known = {(node.start_mark.line + 1, node.start_mark.column + 1): node for node in _mappings(yaml.compose(text))}
     for place, new in replacements.items():
@@ -144,8 +145,8 @@ def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: 
 
 
 def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
-    """Replaces the list of moves that begins at (line, column), which count from 1, and returns the new text. Raises `RewriteError`
-    if no list of moves begins there."""
+    """Replaces the list of moves that begins at `place` (line, column), which count from 1, and returns the new text. Raises
+    `RewriteError` if no list of moves begins there."""
     for node in _sequences(yaml.compose(text)):
         if (node.start_mark.line + 1, node.start_mark.column + 1) == place and node.value:
             break

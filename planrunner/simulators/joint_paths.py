@@ -136,7 +136,7 @@ class Path:
 
     def go(self, now: float, target: float, rate: float, acceleration: float) -> Path:
         """Returns the path that comes to rest and then moves to an angle. For this move, the joint accelerates, turns at `rate` at
-        most, and decelerates."""
+        most, and decelerates. `now`: time of the command, s. `target`: the angle, rad."""
         _, first, _ = self.state(now)
         path = self.turn(now, 0.0, acceleration) if first != 0.0 else self
         start = max(now, path.arrival) if first != 0.0 else now
@@ -154,8 +154,9 @@ class Path:
         return path.then(start, (up, level, slow, rest), rest.begin)
 
     def swing(self, now: float, amplitude: float, frequency: float, phase: float, zero: float, about: float) -> Path:
-        """Returns the path that starts a sine about an angle. If the joint already performs the same sine with another amplitude,
-        the amplitude changes gradually. Otherwise the sine starts with amplitude zero."""
+        """Returns the path that starts, at the time `now`, a sine about the angle `about` [rad]. If the joint already performs the
+        same sine with another amplitude, the amplitude changes gradually. Otherwise the sine starts with amplitude zero. The other
+        arguments are described in `Swing`."""
         piece = self.current(now)
         same = isinstance(piece, Swing) and (piece.frequency, piece.phase, piece.zero) == (frequency, phase, zero)
         before = piece.amplitude if isinstance(piece, Swing) and same else 0.0

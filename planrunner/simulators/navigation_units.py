@@ -91,7 +91,7 @@ class XsensUnit:
 
 
 def _turns(angles: Array) -> Array:
-    """Returns the unit quaternions (n, 4), real part first, that belong to rotation vectors (n, 3)."""
+    """Returns the unit quaternions (n, 4), real part first, that belong to the rotation vectors `angles` (n, 3), rad."""
     size = np.linalg.norm(angles, axis=1)
     part = 0.5 * np.sinc(size / (2 * np.pi))  # sin(a/2)/a
     return np.column_stack([np.cos(size / 2), angles * part[:, None]])
@@ -126,7 +126,8 @@ class VectorNavUnit:
         return self.form.frames({name: columns[name] for name in self.form.fields})
 
     def _lines(self, rates: Array, forces: Array) -> Bytes:
-        """Makes text lines of equal length. To this end, the numbers have leading zeros."""
+        """Makes text lines of equal length. To this end, the numbers have leading zeros. `rates`, `forces`: arrays of shape (n, 3),
+        rad/s and m/s²."""
         sent = [
             vectornav.measurement((0, 0, 0), f, w, (0, 0, 0), self.text) for f, w in zip(forces, rates, strict=True)
         ]

@@ -71,7 +71,8 @@ class TablePlant:
     # -- commands ------------------------------------------------------------------------------------------------------
 
     def go(self, index: int, angle: float, rate: float, acceleration: float) -> None:
-        """Moves an axis to an angle. A continuous axis turns the shorter way."""
+        """Moves an axis to an angle. A continuous axis turns the shorter way. `rate`, `acceleration`: largest rate and acceleration
+        of the move, rad/s and rad/s²."""
         axis, now = self.axes[index], self.live.before_change()
         if axis.model.continuous:
             here = self.paths.paths[index].state(now)[0]
@@ -84,7 +85,7 @@ class TablePlant:
         self._point()
 
     def turn(self, index: int, rate: float, fastest: float, acceleration: float) -> None:
-        """Changes the rate of an axis. The rate is limited to the largest rate."""
+        """Changes the rate of an axis. The rate is limited to the largest rate, `fastest`."""
         axis, now = self.axes[index], self.live.before_change()
         fastest, acceleration = self._within(axis, fastest, acceleration)
         axis.limited = "rate" if abs(rate) > fastest * _GRANTED else ""

@@ -64,9 +64,9 @@ def measurement(
     ypr: Sequence[float] | Values,
     kind: str = "VNYMR",
 ) -> bytes:
-    """Writes a line of text with measurements, which are arrays of shape (3,). `VNYMR` contains attitude [deg], magnetic field
-    [gauss], acceleration [m/s^2] and rate [rad/s]; `VNYPR`, `VNACC` and `VNGYR` contain only the attitude, the acceleration or the
-    rate."""
+    """Writes a line of text with measurements, which are arrays of shape (3,). `VNYMR` contains attitude [deg] (`ypr`: yaw, pitch,
+    roll), magnetic field [gauss], acceleration [m/s^2] and rate [rad/s]; `VNYPR`, `VNACC` and `VNGYR` contain only the attitude,
+    the acceleration or the rate."""
     parts = {
         "VNYPR": [f"{value:+08.3f}" for value in ypr],
         "magnetic": [f"{value:+08.4f}" for value in magnetic],

@@ -64,7 +64,7 @@ def known(item: int) -> bool:
 
 def _real(values: Values, form: int) -> Bytes:
     """Encodes real numbers (n,): IEEE 754, or fixed point with 20 or 32 bits after the binary point. With 32 bits, the bits of the
-    fraction are sent first."""
+    fraction are sent first. `form`: code of the format, from the low bits of the identifier."""
     if form == 1:
         return integers(np.rint(values * 2.0**20), 4)
     if form == 2:

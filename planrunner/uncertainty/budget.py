@@ -137,7 +137,8 @@ def _budget(one: Measured, k: int, acting: Sequence[Influence], sizes: Array, so
 
 
 def _line(item: Influence, k: int, contribution: float) -> BudgetLine:
-    """Makes the row of a budget for one input. The sensitivity and the input are in the unit in which budgets show the input."""
+    """Makes the row of a budget for one input. The sensitivity and the input are in the unit in which budgets show the input. `k`:
+    index of the coefficient. `contribution`: contribution of the input to the standard uncertainty of the coefficient."""
     quantity, row = item.quantity, item.sensitivities[k]
     factor = quantity.shown_factor if quantity.shown else 1.0
     return BudgetLine(

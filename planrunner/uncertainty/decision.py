@@ -120,7 +120,8 @@ def decide(
 
 
 def guard_band(expanded: float, rule: Rule, factor: float = 1.0) -> float:
-    """Returns the guard band w = r·U for guarded acceptance, where r is `factor`; zero for simple acceptance."""
+    """Returns the guard band w = r·U for guarded acceptance, where r is `factor`, and U is the expanded uncertainty `expanded`;
+    zero for simple acceptance."""
     return factor * expanded if rule == "guarded" and factor else 0.0
 
 
@@ -174,7 +175,8 @@ def scale_freedom(value: float, standard_uncertainty: float) -> float:
 
 
 def _to_bound(bound: float, upper: bool, freedom: float, confidence: float) -> float:
-    """Returns the distance that a scale must keep from a limit, so that its two-sided χ² interval ends at the limit."""
+    """Returns the distance that a measure of scatter must keep from the limit `bound`, so that its two-sided χ² interval ends at
+    the limit. `upper`: True for an upper limit. `freedom`: degrees of freedom. `confidence`: confidence level of the interval."""
     from scipy.special import chdtri
 
     beyond = (1 + confidence) / 2 if upper else (1 - confidence) / 2  # chdtri takes the probability above

@@ -41,7 +41,8 @@ def central(function: Callable[[float], Array], step: float) -> Array:
 
 
 def length(vector: Array) -> Array:
-    """Returns the Euclidean lengths of vectors, whose components are along the first axis of the array."""
+    """Returns the Euclidean lengths of vectors whose components are along the first axis of the array: shape (…) for an array (k,
+    …)."""
     return np.asarray(np.sqrt(np.sum(vector * vector, axis=0)))
 
 

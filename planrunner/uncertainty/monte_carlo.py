@@ -118,7 +118,8 @@ def propagate(
 
 
 def _of_averages(found: Sequence[Array]) -> Array:
-    """Returns the standard deviations of the averages of the results over the blocks."""
+    """Returns the standard deviations of the averages of the results over the blocks, in the shape of one result. `found`: the
+    results of each block."""
     return np.asarray(np.std(found, axis=0, ddof=1) / math.sqrt(len(found)))
 
 
@@ -189,8 +190,9 @@ def t_draws(
 def _scaled_to_t(
     root: Array, groups: Sequence[tuple[NDArray[np.intp], float]], rng: np.random.Generator, n: int
 ) -> Array:
-    """Scales jointly normal draws to Student's t, group by group. `groups`: for each estimated variance, its degrees of freedom and
-    the rows that depend on it."""
+    """Draws jointly normal values and scales them to Student's t, group by group. Returns n draws of m values, shape (m, n).
+    `root`: matrix L for which L·Lᵀ is the covariance (m, m). `groups`: for each estimated variance, its degrees of freedom and the
+    rows that depend on it."""
     values = root @ rng.standard_normal((root.shape[1], n))
     for rows, freedom in groups:
         scale = t_scale(rng, freedom, n)
@@ -212,7 +214,8 @@ def _about(centre: Array, parts: Sequence[Draws], rng: np.random.Generator, n: i
 
 
 def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Array:
-    """Returns the factors √(ν/χ²) for n draws. Multiplied by these factors, normal draws follow Student's t."""
+    """Returns the factors √(ν/χ²) for n draws, shape (n,), where ν is `degrees_of_freedom`. Multiplied by these factors, normal
+    draws follow Student's t."""
     return np.asarray(np.sqrt(degrees_of_freedom / rng.chisquare(degrees_of_freedom, n)))
 
 
@@ -247,7 +250,7 @@ def _inputs(quantity: InputQuantity, rng: np.random.Generator, r: int, n: int) -
 
 
 def _ends(values: Array, probability: float) -> tuple[Array, Array]:
-    """Returns the ends of the probabilistically symmetric interval in each row (JCGM 101:2008, 7.7.2)."""
+    """Returns the ends of the probabilistically symmetric interval in each row of `values` (m, n) (JCGM 101:2008, 7.7.2)."""
     below, above = _places(values.shape[1], probability)
     parted = np.partition(values, (below, above), axis=1)
     return parted[:, below], parted[:, above]

@@ -74,7 +74,8 @@ class GyroAxisDelay:
         return self.around(observed, np.zeros(3))
 
     def around(self, observed: Observed, amplitudes: Array) -> list[Variant]:
-        """Returns one column per gyro: the change of the gyro's output due to a delay, divided by the delay."""
+        """Returns one column per gyro: the change of the gyro's output due to a delay, divided by the delay. `amplitudes`: the
+        delays [s] for which the columns are exact."""
         gyros = [index for index in observed.of_kind("gyro") if observed.along is None]
         if not observed.unsteady.any() or not gyros:
             return []
@@ -232,7 +233,8 @@ class GyroFoldOver(Shaped):
 def _clipped(observed: Observed, shape: float, limits: tuple[float, float]) -> Variant:
     """Returns the variant of an effect that clips the output at a lower and an upper limit [rad/s]. A sample is clipped together
     with its noise. Therefore, an output near a limit is already reduced on average: for a noise n, the mean of min(y + n, L) is y +
-    E[min(n, L − y)]. If the recording states no noise (`Observed.scatter`), the noise is neglected."""
+    E[min(n, L − y)]. If the recording states no noise (`Observed.scatter`), the noise is neglected. `shape`: value of the shape of
+    the variant."""
     gyros, reach = observed.of_kind("gyro"), 0.0
     noise = np.zeros((len(gyros), 1))
     if observed.scatter is not None:

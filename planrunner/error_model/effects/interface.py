@@ -124,7 +124,8 @@ class About:
     figures: Callable[[float], Mapping[str, str]] | None = None
 
     def advice(self, found: str, shape: float | None) -> str:
-        """Returns the remedy, with the fitted parameters inserted as text."""
+        """Returns the remedy, with the fitted parameters inserted as text. `found`: this text. `shape`: the fitted shape, None for
+        an effect without a shape."""
         values = {} if self.figures is None or shape is None else dict(self.figures(shape))
         wanted = {field for _, field, _, _ in Formatter().parse(self.remedy) if field}
         return self.remedy.format(**dict.fromkeys(wanted, "unknown") | values | {"found": found})
@@ -391,7 +392,8 @@ def per_axis(
     observed: Observed, kind: str, name: str, unit: str, factor: float, magnitude: float, signature: Array
 ) -> list[Column]:
     """Makes one column for each input axis of a triad. `signature`: array of shape (N,) if all axes have the same signature, or (N,
-    3) with one signature per axis."""
+    3) with one signature per axis. `name`, `unit`, `factor`, `magnitude`: values of the fields of `Column`; the letter of the axis
+    is appended to the name."""
     columns = []
     for axis, index, share in observed.inputs(kind):
         own = signature if signature.ndim == 1 else signature[:, axis]
@@ -425,8 +427,9 @@ def on_rate(observed: Observed, omega: Array) -> Mapping[int, Array]:
 def whole(
     parts: Mapping[int, Array], segments: NDArray[np.bool_] | None = None, *, either_sign: bool = False
 ) -> Column:
-    """Returns the column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. `either_sign`: True if
-    the effect may also be negative, like a delay; False for a lag or a dead zone."""
+    """Returns the column of an effect that is fully determined by its shape, such as a lag, a limit or a delay. `either_sign`: True
+    if the effect may also be negative, like a delay; False for a lag or a dead zone. `parts`, `segments`: values of the fields of
+    `Column`."""
     smallest = -np.inf if either_sign else 0.0
     return Column("share", "1", 1.0, 1.0, parts, segments, True, axis=None, smallest=smallest)
 

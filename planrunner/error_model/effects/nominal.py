@@ -41,9 +41,9 @@ def misalignment(observed: Observed, kind: str) -> list[Column]:
 def towards_others(
     observed: Observed, kind: str, unit: str, magnitude: float, factor: Array | float = 1.0, inputs: bool = False
 ) -> list[Column]:
-    """Returns columns that describe the response of each axis to the inputs of the other axes. Each column is such an input, multiplied
-    by `factor`. `unit`: the unit of the amplitudes, which is arcsec or arcsec per SI unit of the factor. `inputs`: True if the columns
-    are the unchanged inputs of the sensor (`Column.along`)."""
+    """Returns columns that describe the response of each axis to the inputs of the other axes. Each column is such an input,
+    multiplied by `factor`. `unit`: the unit of the amplitudes, which is arcsec or arcsec per SI unit of the factor. `inputs`: True
+    if the columns are the unchanged inputs of the sensor (`Column.along`). `magnitude`: prior scale of the amplitudes, SI."""
     columns = []
     largest = 1.0 if isinstance(factor, float) else np.inf  # a component of the input axis, which is a unit vector
     for other in range(3):

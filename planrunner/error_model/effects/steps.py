@@ -100,7 +100,7 @@ class MountShift(Shaped):
     @staticmethod
     def _from(observed: Observed, value: float, felt: Array) -> Variant:
         """Returns the columns of the shift. `felt`: array of shape (N, 12): angular rate, specific force, the negative angular rate
-        and the negative specific force."""
+        and the negative specific force. `value`: the moment of the shift, s since power-on."""
         after, acting = _after(observed, value, felt)
         parts: list[dict[int, Array]] = [{}, {}, {}]
         for index, channel in enumerate(observed.channels):
@@ -145,8 +145,8 @@ class SamplesDropped(Shaped):
         return SamplesDropped(float(amplitudes[0]))
 
     def grid(self, observed: Observed) -> Array:
-        """Returns possible moments of the loss, from the start of the first segment in which the rate changes to the end of the
-        last such segment."""
+        """Returns possible moments of the loss as an array, s since power-on, from the start of the first segment in which the rate
+        changes to the end of the last such segment."""
         if not observed.unsteady.any() or not observed.of_kind("gyro") or observed.along is not None:
             return np.empty(0)
         moments, first = _moments(observed), int(np.flatnonzero(observed.unsteady)[0])
