@@ -69,7 +69,7 @@ class PlacedNumber(Protocol):
 
 
 def field_of(item: PlacedNumber, scale: float = 1.0) -> Field:
-    """Describes a number in a frame, from its keys."""
+    """Describes a number in a frame, from its keys. `scale`: factor that converts the raw number to the value."""
     width, kind = TYPES[item.type]
     return Field(item.place, width, kind, scale, item.little_endian)
 

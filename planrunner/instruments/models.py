@@ -97,7 +97,8 @@ class ChamberModel:
         return slope * (self._lag_of_ramp(lag, seconds) - self._lag_of_ramp(lag, seconds - abs(kelvin) / self.ramp))
 
     def _lag_of_ramp(self, lag: float, seconds: float) -> float:
-        """Returns the difference that `behind` describes, for an endless ramp of 1 K/s."""
+        """Returns the difference that `behind` describes, for an endless ramp of 1 K/s: `seconds` after its start, for a body with
+        the time constant `lag` [s]."""
         if seconds <= 0:
             return 0.0
         a, s = max(self.lag, _SHORT), max(lag, _SHORT)
@@ -135,7 +136,8 @@ class NoiseModel:
         return np.asarray(self.resolution**2 / 12 / np.where(self.dithers(variance), samples, 1.0))
 
     def standard_error(self, seconds: float | Array, rate_hz: float | Array) -> Array:
-        """Returns the standard uncertainty of the mean of the samples that are taken at `rate_hz` during `seconds`."""
+        """Returns the standard uncertainty of the mean of the samples that are taken at `rate_hz` during `seconds`, in the unit of
+        the output and in the shape of the arguments."""
         rate = np.asarray(rate_hz)
         white = self.white**2 / np.maximum(seconds, 1.0 / rate)
         rounding = self.rounding(np.maximum(1.0, seconds * rate), self.white**2 * rate)

@@ -395,7 +395,8 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
 
     If no name suggests a gyro or an accelerometer, the function searches for three neighbouring columns whose vector is as long as
     gravity. These are assumed to be the accelerometers, and three columns next to them the gyros. If the names of three columns
-    state the axes x, y and z, the columns get these axes; otherwise they are x, y and z in their order."""
+    state the axes x, y and z, the columns get these axes; otherwise they are x, y and z in their order. `first`: the first rows of
+    each column."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
     for begin in range(0, len(guesses) - 2):
@@ -424,7 +425,8 @@ def _of_counts(level: float) -> bool:
 
 
 def _turns_with_the_sensor(first: Mapping[str, Array], three: Sequence[Guess]) -> bool:
-    """Returns True if three columns form a vector of constant length whose direction changes, as a magnetometer measures it."""
+    """Returns True if the three columns `three` form a vector of constant length whose direction changes, as a magnetometer
+    measures it. `first`: the first rows of each column."""
     table = np.column_stack([first[one.column] for one in three])
     table = table[np.isfinite(table).all(axis=1)]
     if not len(table):
@@ -457,7 +459,8 @@ def _windows(
 ) -> tuple[WindowLevels, int, dict[str, int]]:
     """Computes the means and standard deviations of all windows.
 
-    Also returns the number of rows, and the number of finite values in each column."""
+    Also returns the number of rows, and the number of finite values in each column. `about`: approximate number of rows. `rate`:
+    sample rate, Hz."""
     size = max(2, round(WINDOW * rate), math.ceil(about / MOST_WINDOWS))
     pace = Pace("looking at the recording", about, notice)
     kept: dict[str, Array] = {column: np.zeros(0) for column in columns}
@@ -540,7 +543,8 @@ def _course(mean: Array) -> Array:
 
 
 def _at_rest(windows: WindowLevels, still: Sequence[Span], values: Array) -> Array:
-    """Returns the values of the windows in the still spans; of all windows if there are no still spans."""
+    """Returns the values of the windows in the still spans; of all windows if there are no still spans. `values`: array of shape
+    (n,), one value for each window."""
     chosen = np.zeros(len(windows.begin), bool)
     for span in still:
         chosen |= (windows.begin >= span.start - 1e-9) & (windows.begin < span.end - 1e-9)
@@ -623,7 +627,8 @@ def _channels(
 
 
 def _integrated(one: Guess, period: float) -> float:
-    """Returns the time [s] over which a column integrates the output of its sensor; 1 if the column contains the output itself."""
+    """Returns the time [s] over which a column integrates the output of its sensor; 1 if the column contains the output itself.
+    `period`: sample period, s."""
     return period if one.increments else 1.0
 
 

@@ -103,7 +103,8 @@ class _Pass:
     rates: list[tuple[float, float]] = field(default_factory=list)
 
     def take(self, first: int, time: Array, columns: Mapping[str, Array], wanted: Sequence[Wanted]) -> None:
-        """Processes the next rows. `first`: number of the first of these rows."""
+        """Processes the next rows. `first`: number of the first of these rows. `time`: array of shape (n,), s. `columns`: the
+        values (n,) of each channel."""
         self.rows += len(time)
         for name, values in columns.items():
             self.missing[name] = self.missing.get(name, 0) + int(np.count_nonzero(~np.isfinite(values)))

@@ -132,7 +132,8 @@ def _time(row: LabelledRow, column: str, where: str, unit: str, dates: DateOrder
 
 
 def _span(label: str, begin: float, stop: float, where: str, trim: float) -> Span:
-    """Returns the interval between two times [s] after trimming."""
+    """Returns the interval between two times [s] after trimming. `begin`, `stop`: these times. `trim`: time that is left out at
+    both ends, s."""
     start, end = begin + trim, stop - trim
     if not (math.isfinite(start) and math.isfinite(end)) or stop <= begin:
         raise InstrumentError(f"{where}: the segment '{label}' does not end after it starts")

@@ -58,7 +58,7 @@ class SampleRates(Generic[RowValue]):
 
     def _divided(self, time: Array, data: NDArray[RowValue], final: bool) -> list[RowsAtOneRate[RowValue]]:
         """Divides rows. If `final` is False, the last rows are kept for the next call, because later rows are needed to recognise a
-        change of the rate."""
+        change of the rate. `time`, `data`: the same as in `take`."""
         found: list[RowsAtOneRate[RowValue]] = []
         steps = np.diff(time)
         count = len(steps) // _ROWS
@@ -77,7 +77,8 @@ class SampleRates(Generic[RowValue]):
         return found
 
     def _changes(self, time: Array, data: NDArray[RowValue], found: list[RowsAtOneRate[RowValue]]) -> int:
-        """Adds the rows before the last change to `found`. Returns the first row after this change."""
+        """Adds the rows before the last change to `found`. Returns the first row after this change. `time`, `data`: the same as in
+        `take`."""
         steps = np.diff(time)
         count = len(steps) // _ROWS
         edges = _ROWS * np.arange(count + 1)

@@ -37,10 +37,11 @@ class AirCommands(Commands, Protocol):
         """Sets the units, and the rate of change of the setpoint to `ramp` [K/min], if the controller has these settings."""
 
     def limit(self, coldest: float, hottest: float) -> Sequence[str]:
-        """Sets the temperatures at which the chamber stops by itself. Returns one line of text for each limit that was set."""
+        """Sets the temperatures at which the chamber stops by itself. Returns one line of text for each limit that was set.
+        `coldest`, `hottest`: these temperatures, degC."""
 
     def head_for(self, celsius: float) -> None:
-        """Changes the setpoint and starts the chamber."""
+        """Changes the setpoint to `celsius` and starts the chamber."""
 
     def air(self) -> float: ...
     def faults(self) -> Sequence[str]:

@@ -109,8 +109,8 @@ def _columns_of(array: str, shape: tuple[int, ...]) -> list[str]:
 
 
 def _part(array: NDArray[np.generic] | h5py.Dataset, column: str, begin: int, end: int) -> Array:
-    """Returns the rows from `begin` up to but not including `end` of one column of an array or dataset. If the column is in a
-    dataset, only these rows are read from the file. Dates keep their type."""
+    """Returns the rows from `begin` up to but not including `end` of one column of an array or dataset, shape (end − begin,). If
+    the column is in a dataset, only these rows are read from the file. Dates keep their type."""
     shape = array.shape
     kind = None if array.dtype.kind == "M" else float
     if len(shape) == 1:

@@ -65,7 +65,8 @@ class Topic:
 
     @classmethod
     def of(cls, name: str, kind: str, definition: str, *, is_cdr: bool, count: int = 0, problem: str = "") -> Topic:
-        """Makes a topic from the texts in a bag. Characters that cannot be displayed are replaced."""
+        """Makes a topic from the texts in a bag. Characters that cannot be displayed are replaced. `kind`: name of the type.
+        `is_cdr`: True if the messages are in CDR."""
         return cls(_shown(name, MAX_NAME), _shown(kind, MAX_NAME), definition, is_cdr, count, problem)
 
     def joined(self, other: Topic) -> Topic:
@@ -150,7 +151,7 @@ class _Source(Protocol):
     size: int
 
     def read(self, position: int, count: int) -> MessageBytes:
-        """Returns `count` bytes. Raises `_CutError` if they are not all there."""
+        """Returns `count` bytes from `position` on. Raises `_CutError` if they are not all there."""
 
 
 class _FileSource:
@@ -304,7 +305,7 @@ class _RecordsFile(BagFile):
                 raise self._damaged("it ends within its first record") from None
 
     def _counted(self, source: _FileSource, first: int) -> dict[str, Topic]:
-        """Finds the topics of a bag without an index, and counts their messages."""
+        """Finds the topics of a bag without an index, and counts their messages. `first`: position of the first record."""
         connections: dict[int, Topic] = {}
         counts: dict[int, int] = {}
         for number, _, _ in self._walk(source, first, connections, None):
@@ -312,7 +313,8 @@ class _RecordsFile(BagFile):
         return self._merged(connections, counts)
 
     def _merged(self, connections: Mapping[int, Topic], counts: Mapping[int, int]) -> dict[str, Topic]:
-        """Returns the topics of a file, each with the messages of all its publishers."""
+        """Returns the topics of a file, each with the messages of all its publishers. `connections`: maps the number of each
+        connection (one publisher of a topic) to its topic. `counts`: number of messages of each connection."""
         found: dict[str, Topic] = {}
         for number, one in connections.items():
             topic = replace(one, count=counts.get(number, 0))
@@ -543,7 +545,8 @@ class _Mcap(_RecordsFile):
 
 
 def _strings(data: bytes, position: int, count: int) -> list[bytes]:
-    """Returns `count` texts that follow each other, each with its size before it. Raises `struct.error` if they are not all there."""
+    """Returns `count` texts that follow each other in `data` from `position` on, each with its size before it. Raises
+    `struct.error` if they are not all there."""
     found = []
     for _ in range(count):
         size = _u32(data, position)

@@ -66,8 +66,8 @@ class DateOrder:
         return self.day_first is None and bool(self._dates)
 
     def read(self, one: int, other: int, year: int, slashes: bool) -> float:
-        """Returns the number of days from 1970-01-01 to a date whose first two numbers are a day and a month, in either order; NaN
-        if there is no such date. `slashes`: True if slashes separate the numbers."""
+        """Returns the number of days from 1970-01-01 to a date; NaN if there is no such date. The first two numbers of the date,
+        `one` and `other`, are a day and a month, in either order. `slashes`: True if slashes separate the numbers."""
         if self.day_first is None:
             self._dates.setdefault((one, other, year), slashes)
         day_first = not slashes if self.day_first is None else self.day_first
@@ -229,7 +229,8 @@ def _number(text: pa.Array) -> Array:
 
 def _days(parts: dict[str, pa.Array], dated: NDArray[np.bool_], dates: DateOrder) -> Array:
     """Returns the number of days since 1970-01-01, shape (n,); NaN for a date that does not exist. Each of the few different dates
-    is converted only once."""
+    is converted only once. `parts`: the parts of the dates as texts, by name. `dated`: array of shape (n,), True for each time that
+    contains a date."""
     import pyarrow.compute as pc
 
     texts = pc.binary_join_element_wise(*(parts[name] for name in ("a", "sep", "b", "c")), "|").dictionary_encode()

@@ -288,7 +288,7 @@ class FormatFile(ABC, Generic[Keys]):
 
     def _check_time(self, time: Array, first: int, before: float | None) -> None:
         """Raises `InstrumentError` if a time is missing, or is not later than the time of the previous row. `before`: time of the
-        last row of the previous batch."""
+        last row of the previous batch. `time`: array of shape (n,), s. `first`: number of the first row."""
         if not np.all(np.isfinite(time)):
             row = first + int(np.flatnonzero(~np.isfinite(time))[0])
             raise InstrumentError(

@@ -359,7 +359,7 @@ def _best_layout(lines: Sequence[str], encoding: str, is_row: Callable[[Sequence
 
 def _first_row(cells: Sequence[Sequence[str]], width: int, is_row: Callable[[Sequence[str]], bool]) -> int | None:
     """Returns the index of the first line that is a row and is followed by three further rows. `is_row`: returns True for the cells
-    of a row."""
+    of a row. `width`: number of cells of a row."""
     fits = [len(row) == width and is_row(row) for row in cells]
     return next((index for index in range(len(fits)) if all(fits[index : index + 4])), None)
 
@@ -642,7 +642,8 @@ def _number_time(
     regular: bool = False,
 ) -> LikelyTime | None:
     """Describes the time in a column of numbers; None if the column does not look like a time. `unit`: the unit that the file
-    states apart from the name. `regular`: True if only a column with equal steps counts as a time."""
+    states apart from the name. `regular`: True if only a column with equal steps counts as a time. `values`: first values of the
+    column. `first`: the first rows of all columns of numbers."""
     if len(values) < 3 or not np.all(np.isfinite(values)):
         return None
     steps = np.diff(values)
@@ -668,7 +669,7 @@ def of_minutes(values: Array) -> bool:
 
 def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> float | None:
     """Returns the median step of the time from sample to sample; None if the time does not increase. `wraps`: value at which the
-    time returns to zero."""
+    time returns to zero. `values`: first values of the column. `first`: the first rows of all columns of numbers."""
     if len(values) < 3 or not np.all(np.isfinite(values)):
         return None
     steps = np.diff(values)
@@ -682,7 +683,7 @@ def _step(values: Array, first: Mapping[str, Array], wraps: float | None) -> flo
 
 def _mean_step(values: Array) -> float | None:
     """Returns the mean step of the time per row. The function is used if several rows have the same time. Returns None if the time
-    decreases, or changes less than four times."""
+    decreases, or changes less than four times. `values`: first values of the column."""
     if not np.all(np.isfinite(values)) or np.any(np.diff(values) < 0):
         return None
     changes = np.flatnonzero(np.diff(values) > 0) + 1
@@ -706,7 +707,7 @@ def _between_samples(first: Mapping[str, Array], steps: Array) -> Array:
     """Returns the steps of the time between the rows that contain a sample of a gyro or an accelerometer.
 
     In a log of several instruments, other rows contain no such sample. `steps`: array of shape (n - 1,), steps of the time between
-    all rows."""
+    all rows. `first`: the first rows of all columns of numbers."""
     held = [
         np.isfinite(values) for column, values in first.items() if guessed_channel(column).sensed in ("gyro", "accel")
     ]

@@ -167,7 +167,7 @@ class JsonFile(FormatFile[JsonKeys]):
                 yield scanner.place(), sample
 
     def _numbers(self, cells: Sequence[object], column: str, first: int) -> NDArray[np.float64]:
-        """Converts the cells of a column to numbers. `first`: number of the first row."""
+        """Converts the cells of a column to numbers, shape (n,). `first`: number of the first row."""
         try:
             return np.array([np.nan if cell is None else float(cell) for cell in cells])  # type: ignore[arg-type]
         except (TypeError, ValueError, OverflowError):

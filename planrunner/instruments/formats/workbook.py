@@ -162,7 +162,7 @@ class WorkbookFile(FormatFile[WorkbookKeys]):
         return ((number, cells) for number, cells in rows if any(cell is not None for cell in cells))
 
     def _numbers(self, cells: Sequence[object], column: str, rows: Sequence[tuple[int, Cells]]) -> NDArray[np.float64]:
-        """Converts the cells of a column to numbers. `rows`: the rows of these cells."""
+        """Converts the cells of a column to numbers, shape (n,). `rows`: the rows of these cells."""
         try:
             return np.array([np.nan if cell is None else float(cell) for cell in cells])  # type: ignore[arg-type]
         except (TypeError, ValueError, OverflowError):

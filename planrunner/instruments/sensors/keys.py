@@ -122,7 +122,7 @@ def sensor_model(
 
 def _output(name: str, text: str, resolution: float, parameters: SerialSensorParameters, inertial: bool) -> OutputModel:
     """Makes the model of an output. `inertial`: False for the output of an inclinometer, to which the declared properties of the
-    accelerometers do not apply."""
+    accelerometers do not apply. `text`: unit of the output. `resolution`: size of one count, in this unit."""
     known: GyroKnowledge | AccelerometerKnowledge | None = None
     walk: Quantity | None = None
     if text in RATES and parameters.gyros is not None:

@@ -140,5 +140,5 @@ class FrameLayout:
 
 
 def byte(offset: int) -> Field:
-    """Returns the position of an unsigned byte, such as a counter or a status word."""
+    """Returns the position `offset` of an unsigned byte, such as a counter or a status word, as a `Field`."""
     return Field(offset, 1, UNSIGNED)

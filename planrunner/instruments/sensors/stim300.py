@@ -107,7 +107,8 @@ class Stim300(SerialSensor[Stim300Parameters]):
 
 
 def layout(datagram: int, acceleration_scale: float, gyro_scale: float, rate: float) -> FrameLayout:
-    """Returns the positions of the fields in a datagram. Scales are in deg/s and g per count. `rate`: sample rate, Hz."""
+    """Returns the positions of the fields in a datagram. `datagram`: identifier of the datagram. `acceleration_scale`,
+    `gyro_scale`: g per count and deg/s per count. `rate`: sample rate, Hz."""
     contents = DATAGRAMS[datagram]
     clusters = [("gyro", gyro_scale, "deg/s")]
     clusters += [("accel", acceleration_scale, "g")] if "a" in contents else []

@@ -147,7 +147,8 @@ def body_of(reply: bytes) -> str:
 
 
 def ask(link: SerialStream, clock: Clock, body: str, patience: float = 1.0) -> str:
-    """Sends a command and waits for its echo. Raises `InstrumentError` if the sensor does not echo the command."""
+    """Sends a command and waits for its echo. Raises `InstrumentError` if the sensor does not echo the command. `patience`: longest
+    time to wait, s."""
     head, heard = body.partition(",")[0].encode("ascii"), b""
     link.write(line(body))
     until = clock.now() + patience

@@ -181,7 +181,8 @@ class MtData2:
         return self._joined(parts, refused, frames.received)
 
     def _joined(self, parts: list[Samples], refused: int, received: Array) -> Samples:
-        """Joins the samples of frames with different shapes, in the order in which the frames arrived."""
+        """Joins the samples of frames with different shapes, in the order in which the frames arrived. `refused`: number of frames
+        that cannot be decoded. `received`: time of reception of each frame, s."""
         if not parts:
             empty = np.empty(0)
             channels = dict.fromkeys(self.channels(), empty)
@@ -198,7 +199,7 @@ class MtData2:
 
     def _as_recorded(self, channels: Mapping[str, Array]) -> Mapping[str, Array]:
         """Converts increments of the attitude to mean rates over the interval of a frame. A quaternion increment (w, v) is a
-        rotation by 2·atan2(|v|, w) about v."""
+        rotation by 2·atan2(|v|, w) about v. `channels`: the values (n,) of each channel."""
         made = dict(channels)
         if "delta_q" in self.outputs:
             w, *vector = (made.pop(f"q{place}") for place in range(4))

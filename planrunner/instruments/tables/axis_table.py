@@ -217,7 +217,7 @@ class AxisTable(Commanded[AxisCommands]):
             self._ready = True
 
     def _measured(self) -> tuple[Array, Array]:
-        """Returns the measured joint angles [rad] and rates [rad/s]."""
+        """Returns the measured joint angles [rad] and rates [rad/s] as two arrays with one element for each axis."""
         states = [self.commands.state(axis.number) for axis in self.counted]
         joints = [axis.joint(state.position) for axis, state in zip(self.counted, states, strict=True)]
         rates = [axis.sense * math.radians(state.rate) for axis, state in zip(self.counted, states, strict=True)]
@@ -313,7 +313,8 @@ class AxisTable(Commanded[AxisCommands]):
 
     def _turns(self, motion: Cycle, home: Array, begun: float) -> None:
         """Performs each turn with a rate command, because with a position command, the axis would choose the shorter way. During
-        the stop that follows, a position command removes the remaining deviation."""
+        the stop that follows, a position command removes the remaining deviation. `home`: joint angles at the start of the cycle,
+        rad. `begun`: time at which the cycle began, s."""
         standing = {index: float(joint) for index, joint in enumerate(home)}
         for turn in turns_of(motion, self.axes[0].max_acceleration):
             self._timed.until(begun + turn.begins)

@@ -49,10 +49,12 @@ class Gives:
 
 class Added(Protocol):
     def levels(self, moments: Moments, levels: Mapping[str, Array], gives: Mapping[str, Gives]) -> Mapping[str, Array]:
-        """Returns the outputs (n,) without noise, each in its unit, after the effects have been added."""
+        """Returns the outputs (n,) without noise, each in its unit, after the effects have been added. `levels`: the outputs (n,)
+        before the effects are added. `gives`: unit and noise of each output."""
 
     def noise(self, output: str, gives: Gives) -> Gives:
         """Returns the noise of an output after the effects have been added."""
 
     def readings(self, moments: Moments, samples: Mapping[str, Array]) -> Mapping[str, Array]:
-        """Returns the outputs (n,) with noise, each in its unit, as they are recorded."""
+        """Returns the outputs (n,) with noise, each in its unit, as they are recorded. `samples`: the outputs (n,) with noise,
+        before the effects on readings are added."""

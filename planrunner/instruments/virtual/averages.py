@@ -65,7 +65,7 @@ def _add(means: np.ndarray, world: World, stretch: Stretch, begin: float, rate: 
 
 def _add_part(means: np.ndarray, world: World, pace: float, begin: float, rate: float, low: float, high: float) -> None:
     """Adds the contribution of the time between `low` and `high` to the interval that contains it. `low` and `high` are counted in
-    intervals from `begin`."""
+    intervals from `begin`. `pace`: largest rate of change of the phases, rad/s. `rate`: sample rate, Hz."""
     width = high - low
     if width <= 0.0:
         return

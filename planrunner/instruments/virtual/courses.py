@@ -216,8 +216,8 @@ class Cycling:
         return joints
 
     def _schedule(self) -> tuple[Array, Array, Array]:
-        """Returns, for one cycle: the times [s] at which each stop begins, and the end of the cycle; the angles [rad] at these
-        times; and the turns [rad]."""
+        """Returns, for one cycle of n turns: the times [s] at which each stop begins, and the end of the cycle; the angles [rad] at
+        these times; and the turns [rad]. The first two arrays have the shape (n + 1,), the last one (n,)."""
         lasting = [self.stop + move_time(turn, self.rate, self.acceleration) for turn in self.turns]
         turns = np.array(self.turns)
         return np.concatenate(([0.0], np.cumsum(lasting))), np.concatenate(([0.0], np.cumsum(turns))), turns
@@ -253,14 +253,16 @@ def _cut(begin: float, end: float, breaks: Sequence[float], pace: Callable[[floa
 
 
 def profile(distance: float, max_rate: float, acceleration: float) -> tuple[float, float]:
-    """Returns the time [s] of the acceleration phase, and the total time [s], of a move from rest to rest over `distance` [rad]."""
+    """Returns the time [s] of the acceleration phase, and the total time [s], of a move from rest to rest over `distance` [rad].
+    `max_rate`, `acceleration`: rad/s and rad/s²."""
     up = min(max_rate, math.sqrt(abs(distance) * acceleration)) / acceleration
     return up, move_time(distance, max_rate, acceleration)
 
 
 def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: float) -> tuple[Array, Array]:
     """Computes the angle [rad] and the rate [rad/s] of a move from rest to rest, at the times `elapsed` [s]. Before and after the
-    move, angle and rate are constant. `distance`: length of the move, rad, which may be negative."""
+    move, angle and rate are constant. `distance`: length of the move, rad, which may be negative. `max_rate`, `acceleration`: rad/s
+    and rad/s². The results have the shape of `elapsed`."""
     size, sign = np.abs(distance), np.sign(distance)
     peak = np.minimum(max_rate, np.sqrt(size * acceleration))
     up = peak / acceleration
@@ -274,7 +276,8 @@ def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: fl
 
 
 def _fade(elapsed: Array, period: float) -> tuple[Array, Array]:
-    """Returns a smooth step from 0 to 1 (half a cosine) that lasts one period, and its slope."""
+    """Returns a smooth step from 0 to 1 (half a cosine) that lasts one period, and its slope [1/s], each in the shape of the times
+    `elapsed` [s] since its start. `period`: this period, s."""
     phase = np.clip(elapsed / period, 0.0, 1.0) * math.pi
     return 0.5 * (1 - np.cos(phase)), 0.5 * math.pi / period * np.sin(phase)
 

@@ -246,7 +246,8 @@ class VirtualImu(TakesEffects):
         middles: Array,
     ) -> Array:
         """Returns the output of one axis without white noise, computed from mean rates and forces over the sampling intervals.
-        `kelvin`, `middles`: temperature [K] and time [s] in the middle of every second."""
+        `kelvin`, `middles`: temperature [K] and time [s] in the middle of every second. `chance`: array of shape (2,), random
+        numbers for the repeatability of bias and scale factor. `means`: mean rates [rad/s] and forces [m/s²]."""
         sampling, draw = dwell.sampling, dwell.draw
         step = sampling.hold / sampling.rate
         off = kelvin - self.parameters.reference_temperature.value
@@ -260,7 +261,7 @@ class VirtualImu(TakesEffects):
     def _samples(
         self, axis: InertialAxis, dwell: _Dwell, level: Array, length: int, gives: Gives | None = None
     ) -> Array:
-        """Draws the samples of one axis around its level. `gives`: noise of the output, by default the declared noise."""
+        """Draws `length` samples of one axis around its level. `gives`: noise of the output, by default the declared noise."""
         sampling = dwell.sampling
         gives = gives or self._gives(axis, sampling)
         sigma = gives.white * math.sqrt(sampling.rate)
@@ -283,7 +284,8 @@ class VirtualImu(TakesEffects):
         first: int,
         length: int,
     ) -> dict[str, Array]:
-        """Returns the samples of all axes, after effects have been added to their levels and to their noise."""
+        """Returns the samples of all axes, after effects have been added to their levels and to their noise. The other arguments
+        are the same as in `_level` and `sampler`."""
         added, sampling = self.world.added, dwell.sampling
         assert added is not None and dwell.segment is not None
         hold = sampling.hold
@@ -347,8 +349,8 @@ def turned(world: World, segment: Segment, times: Array) -> tuple[Array, Array]:
 
 
 def mean_angle(world: World, segment: Segment, times: Array, interval: float) -> Array:
-    """Returns the mean angle [rad] over each sampling interval that ends at one of `times`. The outputs are means over the same
-    intervals."""
+    """Returns the mean angle [rad] over each sampling interval that ends at one of `times` (n,), s. The outputs are means over the
+    same intervals. `interval`: length of these intervals, s."""
     places, weights = np.polynomial.legendre.leggauss(3)
     total = np.zeros(len(times))
     for place, weight in zip(places, weights, strict=True):

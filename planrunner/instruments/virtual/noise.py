@@ -216,7 +216,7 @@ class Readout:
 
     def _fill(self, draw: np.random.Generator, part: Array, level: Array, hold: int) -> None:
         """Fills the array `part` with readings. All steps except the last one use units of counts, so that no separate pass is
-        needed to convert to counts."""
+        needed to convert to counts. `level`, `hold`: the same as in `samples`."""
         counts = 1.0 / self.resolution if self.resolution > 0 else 1.0
         if self.sigma > 0:
             draw.standard_normal(out=part)

@@ -56,8 +56,8 @@ class RingEncoders:
         return cls(before, after, lag, wander, np.zeros(rings))
 
     def read(self, course: Course, times: Array, step: float, draw: np.random.Generator) -> list[Array]:
-        """Returns the angles [rad] that the encoders show at `times`, for each ring, the outermost first. The times are `step`
-        seconds apart."""
+        """Returns the angles [rad] that the encoders show at `times` (n,), s, as one array (n,) for each ring, the outermost first.
+        The times are `step` seconds apart."""
         over = course.over if isinstance(course, Rocking) else math.inf
         readings = []
         for k, (angle, rate) in enumerate(course.follow(times)):
@@ -84,7 +84,7 @@ def gimbal_angles(base: Array, element: Array) -> tuple[Array, Array, Array]:
 
 def resolver(angle: Array, error: float, speeds: int, phase: float) -> Array:
     """Returns the reading [rad] of a resolver at `angle` [rad]. `speeds`: number of electrical turns per mechanical turn. `error`:
-    amplitude of the resolver's error [rad]."""
+    amplitude of the resolver's error [rad]. `phase`: phase of this error at the angle zero, rad."""
     return angle + error * np.sin(speeds * angle + phase)
 
 
@@ -207,7 +207,7 @@ class VirtualPlatform:
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
         """Returns the random generator for one caging; number 0 stands for the platform as built. This generator is independent of
-        the generators of the segments."""
+        the generators of the segments. `what`: number of the purpose for which random numbers are drawn."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )
@@ -233,7 +233,8 @@ class VirtualPlatform:
         return DriftLaw(constant, rectified, p.random_walk.value, p.caging.leaving_time.value)
 
     def _accelerations(self, times: Array, axes: Array, rate: float, draw: np.random.Generator) -> list[Array]:
-        """Returns the readings (n,) of each accelerometer [g]."""
+        """Returns the readings (n,) of each accelerometer [g]. `times`: array of shape (n,), s. `axes`: array of shape (n, 3, 3),
+        axes of the element as rows in East-North-Up."""
         p = self.parameters.accelerometers
         arm = [item.value for item in self.parameters.lever_arm]
         force = self.world.site.specific_force_enu + shaking(self.world, times, arm)
@@ -261,7 +262,8 @@ class VirtualPlatform:
     def _encoders(
         self, times: Array, step: float, base: Array, axes: Array, rings: RingEncoders, draw: np.random.Generator
     ) -> dict[str, Array]:
-        """Returns the readings (n,) of each gimbal and ring [deg]."""
+        """Returns the readings (n,) of each gimbal and ring [deg]. `times`: array of shape (n,), s. `base`, `axes`: arrays of shape
+        (n, 3, 3), axes of the base and of the element as rows in East-North-Up."""
         p = self.parameters
         readings = {}
         for name, angle, phase in zip(GIMBALS, gimbal_angles(base, axes), self.phases, strict=True):

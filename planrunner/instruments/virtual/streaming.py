@@ -59,13 +59,13 @@ class Sampling:
             yield block
 
     def times(self, first: int, length: int, delay: int = 0) -> Array:
-        """Returns the times [s] of the samples first … first + length − 1. `delay`: 0 for the start of the sampling intervals, 1
-        for their end."""
+        """Returns the times [s] of the samples first … first + length − 1, shape (length,). `delay`: 0 for the start of the
+        sampling intervals, 1 for their end."""
         time: Array = _SAMPLES[delay : length + delay] / self.rate
         time += self.start + first / self.rate
         return time
 
     def middles(self, first: int, length: int) -> Array:
-        """Returns the times [s] in the middle of each group of `hold` samples."""
+        """Returns the times [s] in the middle of each group of `hold` samples, for the samples first … first + length − 1."""
         middle: Array = np.arange(0.5, -(-length // self.hold)) * self.hold
         return self.start + (first + middle) / self.rate

@@ -170,7 +170,7 @@ class VirtualTable:
         return self._set_course(rocking, record)
 
     def pointing_error(self, attitude: Array) -> Array:
-        """Returns a small random rotation, which depends only on the seed and the commanded attitude."""
+        """Returns a small random rotation (3, 3), which depends only on the seed and the commanded attitude."""
         size = self.parameters.position_error.value
         if size == 0.0:
             return np.eye(3)

@@ -43,7 +43,8 @@ class Command:
 
 
 def temperatures(command: Command, lags: Lags, times: Array) -> tuple[Array, Array, Array]:
-    """Returns the temperatures [K] of setpoint, air and sensor at `times` [s], which must not be before the command."""
+    """Returns the temperatures [K] of setpoint, air and sensor at `times` (n,), s, as three arrays (n,). The times must not be
+    before the command."""
     elapsed = np.asarray(times, dtype=float) - command.start
     change = command.target - command.setpoint
     ramping = abs(change) / lags.ramp
@@ -74,8 +75,8 @@ def time_to_reach(command: Command, lags: Lags, tolerance: float) -> float:
 
 
 def _follow(lags: Lags, origin: float, slope: float, air: float, sensor: float, elapsed: Array) -> tuple[Array, Array]:
-    """Returns the temperatures of air and sensor after the times `elapsed`, for given initial values and the setpoint origin +
-    slope·t."""
+    """Returns the temperatures [K] of air and sensor after the times `elapsed` (n,), s, as two arrays (n,). `air`, `sensor`:
+    initial temperatures. The setpoint is `origin` + `slope`·t."""
     slow = lags.sensor if abs(lags.sensor - lags.air) > 1e-6 * lags.air else lags.air * (1 + 1e-6)
     air_off = air - (origin - slope * lags.air)
     shared = air_off * lags.air / (lags.air - slow)

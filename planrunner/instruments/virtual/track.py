@@ -37,7 +37,8 @@ class TrackProgress:
     period: float | None = None
 
     def follow(self, times: Array) -> tuple[Array, Array, Array]:
-        """Returns the distance [m], the velocity [m/s] and the acceleration [m/s^2] along the track at `times` [s]."""
+        """Returns the distance [m], the velocity [m/s] and the acceleration [m/s^2] along the track at `times` (n,), s, as three
+        arrays (n,)."""
         elapsed = np.maximum(times - self.start, 0.0)
         if self.period is not None:
             circular = 2 * math.pi / self.period
@@ -118,7 +119,8 @@ class Track:
         """Returns the inertial rate [rad/s] and the specific force [m/s^2] of the bench. The components refer to the bench's own
         East-North-Up axes, whose north is the heading of the bench.
 
-        In true East-North-Up axes, f = v̇ + (2·Ω + ω_en) × v − g.
+        In true East-North-Up axes, f = v̇ + (2·Ω + ω_en) × v − g. `times`: array of shape (n,), s. `earth_rate`: rotation rate of
+        the Earth, rad/s.
         """
         place = self.place(times)
         sine, cosine = np.sin(place.latitude), np.cos(place.latitude)
@@ -199,8 +201,9 @@ class Track:
 def _rhumb_rates(
     latitude: Array, speed: Array, acceleration: Array, along: float, across: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Returns the first and second time derivatives of latitude and longitude on a line of constant heading. `along`: cosine of the
-    heading. `across`: sine of the heading."""
+    """Returns the first and second time derivatives of latitude and longitude on a line of constant heading, as four arrays (n,).
+    `latitude`, `speed`, `acceleration`: arrays of shape (n,) in rad, m/s and m/s². `along`: cosine of the heading. `across`: sine
+    of the heading."""
     meridian = ellipsoid.meridian_radius(latitude)
     parallel = ellipsoid.normal_radius(latitude) * np.cos(latitude)
     north, east = speed * along, speed * across

@@ -120,15 +120,15 @@ class World:
     # -- temperature ---------------------------------------------------------------------------------------------------
 
     def air(self, times: Array) -> Array:
-        """Returns the temperature [K] of the air in the chamber at `times`."""
+        """Returns the temperature [K] of the air in the chamber at `times` (n,), s, shape (n,)."""
         return thermal.temperatures(self.command, self.lags, times)[1]
 
     def sensor(self, times: Array) -> Array:
-        """Returns the temperature [K] of the sensor at `times`."""
+        """Returns the temperature [K] of the sensor at `times` (n,), s, shape (n,)."""
         return thermal.temperatures(self.command, self.lags, times)[2]
 
     def head_for(self, kelvin: float) -> None:
-        """Starts a change of the setpoint to a temperature."""
+        """Starts a change of the setpoint to the temperature `kelvin`."""
         now = self.now()
         setpoint, air, sensor = (float(v[0]) for v in thermal.temperatures(self.command, self.lags, np.array([now])))
         self.command = thermal.Command(now, setpoint, air, sensor, kelvin)

@@ -120,7 +120,8 @@ class Framer:
         return Frames(data, starts, lengths, received)
 
     def _arrivals(self, pieces: Sequence[Piece], ends: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Returns, for each frame, the time at which the piece that contains its last byte was read."""
+        """Returns, for each of n frames, the time at which the piece that contains its last byte was read, shape (n,). `ends`:
+        array of shape (n,), index of the byte after each frame."""
         if len(pieces) == 1:
             return np.full(ends.size, pieces[0].received)
         behind = len(self._rest) + np.cumsum([len(piece.data) for piece in pieces])

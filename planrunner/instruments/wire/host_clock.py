@@ -126,7 +126,8 @@ class Unwrapping:
         return steps
 
     def _lowest(self, received: Array, index: Whole) -> float:
-        """Returns the smallest delay of reading in the last second, s, relative to a common constant."""
+        """Returns the smallest delay of reading in the last second, s, relative to a common constant. `received`: array of shape
+        (n,), times of reading, s. `index`: array of shape (n,), indices of the frames."""
         delay = received - index * self.counter.tick
         recent = float(np.min(delay[received >= received[-1] - self.haste]))
         return (
@@ -186,7 +187,8 @@ class HostClock:
             self._offset = min(delay - self.skew * when for when, delay in self._points)
 
     def _keep(self, nominal: float, delay: float) -> None:
-        """Keeps only the smallest delay of every window."""
+        """Keeps only the smallest delay of every window. `nominal`: time of the frame according to the counter, s. `delay`: time of
+        reading minus this time, s."""
         window = WINDOW * self.haste
         if self._points and nominal // window == self._points[-1][0] // window:
             if delay < self._points[-1][1]:

@@ -353,7 +353,7 @@ def shown(data: bytes | bytearray) -> str:
 
 
 def _wait_at_most(resource: Wire, seconds: float) -> None:
-    """Sets the time-out of the next read if it is not already set."""
+    """Sets the time-out of the next read to `seconds` if it is not already set."""
     if abs(resource.timeout - seconds * 1000) > 0.5:
         resource.timeout = seconds * 1000
 

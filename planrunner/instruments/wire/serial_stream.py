@@ -71,8 +71,9 @@ class Ring:
         return pieces
 
     def follow(self, following: bool) -> None:
-        """Starts or ends the use of the buffer by a consumer. During this use, the buffer keeps all bytes. At the start and at the
-        end, the bytes in the buffer are discarded; at the start, the number of dropped bytes is also set to zero."""
+        """Starts (`following` is True) or ends the use of the buffer by a consumer. During this use, the buffer keeps all bytes. At
+        the start and at the end, the bytes in the buffer are discarded; at the start, the number of dropped bytes is also set to
+        zero."""
         with self._lock:
             self._pieces, self._held, self._following = deque(), 0, following
             if following:
@@ -96,7 +97,8 @@ class SerialStream:
     @classmethod
     def open(cls, name: str, baud: int, now: Callable[[], float], capacity: int = CAPACITY) -> SerialStream:
         """Opens a port. `name`: name of the port, such as /dev/ttyUSB0 or COM3, or a URL that pyserial supports, such as
-        socket://host:port. Raises `InstrumentError` if the port cannot be opened."""
+        socket://host:port. Raises `InstrumentError` if the port cannot be opened. `baud`: bit rate, in bits per second. `now`: the
+        same as in the class. `capacity`: size of the buffer in bytes."""
         import serial
 
         url = "://" in name
