@@ -158,6 +158,10 @@ def _excess(parts: Sequence[Array | None], segments: Sequence[ObservedSegment]) 
     )
 
 
+_OF_MOTION = ("owner", "_turned", "earth_rate", "table_axis", "omega", "force", "turn", "swing", "pulsation")
+"""Attributes of `Observed` that contain the motion at every sample, once they have been computed."""
+
+
 @dataclass(frozen=True)
 class Observed:
     """Contains a recording together with its plan: S segments, N samples and K channels.
@@ -223,6 +227,20 @@ class Observed:
 
     def __len__(self) -> int:
         return len(self.labels)
+
+    def with_model(
+        self, *, fitted: Array | None = None, response: Array | None = None, scatter: Array | None = None
+    ) -> Observed:
+        """Returns a copy with another nominal model; arguments that are None leave an attribute unchanged. The copy shares the motion at
+        every sample with this recording, so it is neither computed nor stored again."""
+        made = replace(
+            self,
+            fitted=self.fitted if fitted is None else fitted,
+            response=self.response if response is None else response,
+            scatter=self.scatter if scatter is None else scatter,
+        )
+        made.__dict__.update({name: self.__dict__[name] for name in _OF_MOTION if name in self.__dict__})
+        return made
 
     def segments(self) -> list[slice]:
         """Returns one slice per segment, which selects the samples of the segment."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +96,11 @@ class MountShift(Shaped):
 
     def groups(self, observed: Observed) -> Iterator[list[Variant]]:
         felt = _both_signs(observed)
-        yield [self._from(observed, float(value), felt) for value in self.grid(observed)]
+        for within, values in groupby(self.grid(observed).tolist(), key=lambda value: _within(observed, value)):
+            if within:
+                yield from ([self._from(observed, value, felt)] for value in values)
+            else:
+                yield [self._from(observed, value, felt) for value in values]
 
     @staticmethod
     def _from(observed: Observed, value: float, felt: Array) -> Variant:
@@ -185,12 +190,17 @@ def _both_signs(observed: Observed) -> Array:
     return np.hstack([observed.omega, observed.force, -observed.omega, -observed.force])
 
 
+def _within(observed: Observed, moment: float) -> bool:
+    """Returns True if a segment begins before a moment and ends after it."""
+    first, last = observed.time[observed.bounds[:-1]], observed.time[observed.bounds[1:] - 1]
+    return bool(((first < moment) & (last >= moment)).any())
+
+
 def _after(observed: Observed, moment: float, table: Array) -> tuple[Array, NDArray[np.bool_]]:
     """Returns a copy of a table (N, P) with zeros before a moment, and a mask (S,) of the segments that end after this moment. If
     no segment contains the moment, returns the table itself instead of a copy, so that all columns of this table are evaluated
     together."""
-    first, last = observed.time[observed.bounds[:-1]], observed.time[observed.bounds[1:] - 1]
-    acting = np.asarray(last >= moment)
-    if not (acting & (first < moment)).any():
+    acting = np.asarray(observed.time[observed.bounds[1:] - 1] >= moment)
+    if not _within(observed, moment):
         return table, acting
     return table * (observed.time >= moment)[:, None], acting

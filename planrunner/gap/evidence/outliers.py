@@ -57,7 +57,7 @@ def outliers(
     which are not examined. The result also contains the errors of the samples that `spectrum` replaced."""
     from scipy.fft import dct
 
-    found = np.zeros_like(spectrum.remainder)
+    found = np.zeros(spectrum.remainder.shape)  # takes no memory before it is written
     transformed: dict[int, Array] = {}
     for index, (basis, part) in enumerate(zip(spectrum.bases, observed.segments(), strict=True)):
         channels = np.flatnonzero(noise.coloured[noise.moving[index]] & ~coarse)

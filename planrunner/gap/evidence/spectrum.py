@@ -198,7 +198,8 @@ def spectrum(observed: Observed, reference: Array, held: NDArray[np.bool_] | Non
     edges = band_edges(observed.sample_rate / 2)
     values, energy = [], np.zeros((len(bases), len(edges) - 1, len(observed.channels)))
     count = np.zeros((len(bases), len(edges) - 1))
-    remainder, replaced = np.empty_like(observed.values), np.zeros_like(observed.values)
+    remainder = np.empty_like(observed.values)
+    replaced = np.zeros(observed.values.shape)  # takes no memory before it is written
     spikes = np.zeros(len(observed.channels), dtype=np.int64)
     roots = _roots(observed)
     if observed.bins is not None:

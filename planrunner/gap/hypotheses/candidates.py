@@ -229,7 +229,7 @@ class Weighing:
         self.settings: dict[str, tuple[Setting, ...]] = {
             kind: settings_of(observed, slow, means, kind) for kind in ("gyro", "accel")
         }
-        self.observed = replace(observed, scatter=self._scatter())
+        self.observed = observed.with_model(scatter=self._scatter())
         self.observed = self.seen()
         rounding = undithered(observed, self.white, self.coarse)
         self.log_likelihood: list[Array] = []
@@ -362,11 +362,11 @@ class Weighing:
         rate. `values`: the same as in `fitted`."""
         observed, fitted = self.observed, self.fitted(values)
         if observed.along is not None:
-            return replace(observed, fitted=fitted)
+            return observed.with_model(fitted=fitted)
         axes = np.eye(3)[[channel.axis for channel in observed.channels]]
         felt = np.column_stack([observed.omega, np.ones(len(fitted))])
         more = np.linalg.pinv(felt.T @ felt, hermitian=True) @ (felt.T @ (fitted - self._reference))
-        return replace(observed, fitted=fitted, response=axes + more[:3].T)
+        return observed.with_model(fitted=fitted, response=axes + more[:3].T)
 
     def beside(self, known: Weighed) -> Weighing:
         """Returns a copy in which the columns of effects (`known`) count as nominal parameters, so that their amplitudes are free

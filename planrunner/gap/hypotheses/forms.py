@@ -535,7 +535,7 @@ def _slopes(effect: Shaped, shape: float, seen: Observed, step: Array) -> dict[i
     the recording with the nominal output. `step`: array of shape (N, K), step of the nominal output over which the effect is
     differentiated."""
     output, found = seen.nominal_output, dict[int, Array]()
-    (more,), (less,) = (effect.at(replace(seen, fitted=output + sign * step), shape).columns for sign in (1.0, -1.0))
+    (more,), (less,) = (effect.at(seen.with_model(fitted=output + sign * step), shape).columns for sign in (1.0, -1.0))
     for channel in sorted(more.parts.keys() & less.parts.keys()):
         rise, run = more.parts[channel] - less.parts[channel], 2 * step[:, channel]
         slope = np.divide(rise, run, out=np.zeros(len(run)), where=run > 0)

@@ -69,17 +69,15 @@ def outside(weighing: Weighing) -> Outside:
     Real noise often contains lines (supply, dither, resonances). A line counts as a separate cause only if it is a single tone with
     a power of at least `MATERIAL`. Other lines belong to the noise and are only reported.
     """
-    scopes, scans = scopes_of(weighing), [_scan(weighing, index) for index in range(len(weighing.observed.channels))]
+    scopes, scans = scopes_of(weighing), _scans(weighing)
     periodograms = [_Periodogram.of(scan, scan.samples) for scan in scans]
     tones = np.array([_tone([periodograms[index].power for index in scope]) for scope in scopes])
     lines, causes = [], dict[int, Line]()
     for index, (scan, periodogram, evidence) in enumerate(zip(scans, periodograms, tones, strict=False)):
         if evidence > PLAIN:
-            top = int(np.argmax(periodogram.power))
-            amplitude, channel = float(periodogram.amplitude[top]), weighing.observed.channels[index]
-            frequency = float(periodogram.frequency[top])
-            rest, frequency = _without_tone(weighing, scan, frequency, float(periodogram.frequency[0]))
-            lines.append(Line(channel.name, frequency, amplitude / channel.factor, float(evidence)))
+            channel = weighing.observed.channels[index]
+            rest, frequency = _without_tone(weighing, scan, periodogram.frequency, periodogram.spacing)
+            lines.append(Line(channel.name, frequency, periodogram.amplitude / channel.factor, float(evidence)))
             material = scan.energy(scan.samples) >= (1 + MATERIAL) * scan.energy(rest)
             if material and _tone([_Periodogram.of(scan, rest).power]) <= PLAIN:
                 causes[index] = lines[-1]
@@ -126,13 +124,15 @@ class _Scan:
 class _Periodogram:
     """Contains the periodogram of a scan.
 
-    `frequency`: array of shape (F,) in Hz. `power`: array of shape (F,), power at each frequency in units of the noise power.
-    `amplitude`: array of shape (F,) in SI units, amplitude of a sine with this power.
+    `power`: array of shape (F,), power at each frequency in units of the noise power. The frequencies are the first F multiples of
+    `spacing`, Hz. `frequency`: the frequency with the highest power, Hz. `amplitude`: amplitude of a sine with this power, SI. The
+    last three are NaN if the scan has no samples.
     """
 
-    frequency: Array
     power: Array
-    amplitude: Array
+    spacing: float
+    frequency: float
+    amplitude: float
 
     @classmethod
     def of(cls, scan: _Scan, samples: Array) -> _Periodogram:
@@ -140,40 +140,49 @@ class _Periodogram:
         from scipy.fft import next_fast_len, rfft
 
         if not len(samples):
-            return cls(np.empty(0), np.empty(0), np.empty(0))
+            return cls(np.empty(0), np.nan, np.nan, np.nan)
         length = next_fast_len(scan.length, real=True)
         grid = np.bincount(scan.slot, samples * scan.weight, length)
         total = float(scan.weight.sum())
-        frequency = np.arange(1, length // 2) / (length * scan.step)
         seen = np.abs(rfft(grid)[1 : length // 2])
         power = seen**2 / (scan.white**2 * total)
         if scan.coloured:
             power /= _local_level(power)
-        return cls(frequency, power, 2 * seen / total * float(np.sqrt(np.mean(scan.level**2))))
+        top, lasting = int(np.argmax(power)), length * scan.step
+        amplitude = 2 * float(seen[top]) / total * float(np.sqrt(np.mean(scan.level**2)))
+        return cls(power, 1 / lasting, (top + 1) / lasting, amplitude)
 
 
-def _scan(weighing: Weighing, index: int) -> _Scan:
+def _scans(weighing: Weighing) -> list[_Scan]:
+    """Returns the scan of each channel. The scans share the arrays that do not depend on the channel."""
     observed, noise = weighing.observed, weighing.noise
     moved = np.array([isinstance(motion, Rest | Spin) for motion in observed.motions])
     step = (float(observed.bin_size[moved].max()) if moved.any() else 1.0) / observed.sample_rate
     slot = np.round((observed.time - observed.time[0]) / step).astype(np.int64)
+    length = int(slot[-1]) + 1
     chosen = np.flatnonzero(moved[observed.owner])
-    if weighing.coarse[index] or slot[-1] >= LONGEST_SCAN or slot[-1] < 16:
+    if length > LONGEST_SCAN or length <= 16:
         chosen = chosen[:0]
-    owner = observed.owner[chosen]
+    slot, owner = slot[chosen], observed.owner[chosen]
     weight = np.ones(len(chosen)) if observed.bins is None else observed.bin_size[owner].astype(float)
-    level = np.sqrt(noise.level[owner, index])
-    return _Scan(
-        chosen,
-        weight,
-        weighing.spectrum.remainder[chosen, index] / (level * np.sqrt(weight)),
-        slot[chosen],
-        int(slot[-1]) + 1,
-        step,
-        level,
-        float(weighing.white[index]),
-        bool(noise.coloured[:, index].any()),
-    )
+    found = []
+    for index in range(len(observed.channels)):
+        used = slice(0 if weighing.coarse[index] else len(chosen))
+        level = np.sqrt(noise.level[owner[used], index])
+        found.append(
+            _Scan(
+                chosen[used],
+                weight[used],
+                weighing.spectrum.remainder[chosen[used], index] / (level * np.sqrt(weight[used])),
+                slot[used],
+                length,
+                step,
+                level,
+                float(weighing.white[index]),
+                bool(noise.coloured[:, index].any()),
+            )
+        )
+    return found
 
 
 def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: float) -> tuple[Array, float]:
