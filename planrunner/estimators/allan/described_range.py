@@ -5,6 +5,12 @@ changes the deviations at long averaging times; a steady drift looks like a rand
 some averaging times contradict the model, averaging times are omitted at the ends of the range, but as few as possible. Allan
 variances cannot distinguish a random walk from a drift. If they show one of the two, Hadamard variances are fitted instead. The
 coefficients are then right for a random walk as well as for a drift, and only slightly less certain.
+
+A record has a steady drift if its noise does not explain the difference between the means of the two halves of a run. These means
+differ by the drift during half the run, and by noise. The variance of this noise is twice the Allan variance at an averaging time
+of half the run. This Allan variance is computed from a fit to Hadamard variances, because a steady drift does not change them. The
+variance is uncertain, mainly because the random walk is poorly known. The test therefore uses an upper bound of the variance, which
+is two standard uncertainties above the estimate.
 """
 
 from __future__ import annotations
@@ -18,9 +24,8 @@ import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
-from planrunner.estimators.allan.fit import ALLAN, HADAMARD, TERMS, NoiseFit, covariance_for, fit_noise
+from planrunner.estimators.allan.fit import ALLAN, HADAMARD, TERMS, NoiseFit, covariance_for, fit_noise, model_matrix
 from planrunner.estimators.allan.phase import Phase
-from planrunner.estimators.allan.steady_drift import SteadyDrift, steady_drift
 from planrunner.estimators.allan.table import Deviation
 
 _DOUBT = 0.01  # probability of a χ² at least this large, below which the model is refused
@@ -32,7 +37,23 @@ uncertainties."""
 _NEGATIVE = 4.0  # standard uncertainties by which a square may be negative by chance
 _SPARE = 2  # averaging times more than terms that a range needs
 _NEGLIGIBLE = 0.1  # of the standard deviation of a variance: the effect of correlated rounding errors is not larger
+_CHANCE = 1e-3  # probability, by noise alone, of a difference between halves, below which a drift is present
 _QUANTISED, _WHITE, _WALK = TERMS.index("Q"), TERMS.index("N"), TERMS.index("K")
+
+
+@dataclass(frozen=True, slots=True)
+class SteadyDrift:
+    """The steady drift of a record. `slope`: the drift in the output's unit per second (weighted mean over the runs), with its
+    standard uncertainty. The uncertainty is computed for noise that is one standard uncertainty larger than estimated.
+    `probability`: probability that noise alone causes differences of this size between the halves of the runs."""
+
+    slope: float
+    standard_uncertainty: float
+    probability: float
+
+    @property
+    def present(self) -> bool:
+        return self.probability < _CHANCE
 
 
 @dataclass(frozen=True)
@@ -189,4 +210,26 @@ def _white(fit: NoiseFit) -> NoiseFit:
         fit,
         squares=np.where(np.arange(len(TERMS)) == _WHITE, np.maximum(fit.squares, 0.0), 0.0),
         covariance=0 * fit.covariance,
+    )
+
+
+def steady_drift(phase: Phase, fit: NoiseFit) -> SteadyDrift:
+    """Estimates the steady drift of a record. `fit`: a fit of the noise model to the Hadamard variances of the same record."""
+    from scipy.special import chdtrc
+
+    halves = np.array([(run.size - 1) // 2 for run in phase.runs], dtype=np.int64)
+    steps = np.array(
+        [(run[2 * m] - 2 * run[m] + run[0]) / m for run, m in zip(phase.runs, halves.tolist(), strict=True)]
+    )
+    rows = model_matrix(halves)
+    found = rows @ np.maximum(fit.squares, 0.0)
+    unsure = np.sqrt(np.einsum("ri,ij,rj->r", rows, fit.covariance, rows))
+    variances = 2 * (found + unsure)
+    ratios = steps**2 / (2 * (found + 2 * unsure))
+    spans = halves * phase.interval
+    information = float(np.sum(spans**2 / variances))
+    return SteadyDrift(
+        float(np.sum(spans * steps / variances)) / information,
+        1 / math.sqrt(information),
+        float(chdtrc(len(steps), np.sum(ratios))),
     )
