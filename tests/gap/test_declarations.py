@@ -13,7 +13,7 @@ from planrunner.base.findings import Mark
 from planrunner.error_model.added import added, addition
 from planrunner.error_model.observed import Observed
 from planrunner.gap.hypotheses.declarations import WrongDeclaration, corrected
-from planrunner.plan.schedule import Rest, Spin
+from planrunner.plan.schedule import RecordedMotion, Rest, Spin
 from tests.gap.turntable import DEG, Array, G, kept, record
 
 
@@ -170,3 +170,53 @@ def _fault(number: int) -> Callable[[Observed, Array, Array, np.random.Generator
 @pytest.mark.slow
 def test_errors_of_the_sensor_are_no_wrong_declarations() -> None:
     assert [seed for seed in range(60) if _found(record(seed=1000 + seed, fault=_fault(seed)))] == []
+
+
+def _to_and_fro(segments: int = 6, sampling: float = 20.0) -> Observed:
+    """A gyro triad that an arm swings about the vertical, z up, with an encoder. Every segment holds whole periods, so that its mean rate
+    is nearly zero."""
+    sound = record(seed=5)
+    n = int(20.0 * sampling)
+    since = np.arange(n) / sampling
+    pulsation = 2 * np.pi * 0.4
+    rate = np.tile(np.radians(40) * np.cos(pulsation * since), segments)
+    angle = np.tile(np.radians(40) / pulsation * np.sin(pulsation * since), segments)
+    acceleration = np.tile(-np.radians(40) * pulsation * np.sin(pulsation * since), segments)
+    time = np.concatenate([since + 30.0 * index for index in range(segments)])
+    flat = np.zeros(segments * n)
+    shell = replace(
+        sound,
+        channels=sound.channels[:3],
+        labels=tuple(f"part_{index}" for index in range(segments)),
+        motions=(RecordedMotion(angle="encoder"),) * segments,
+        attitude=np.tile(np.eye(3), (segments, 1, 1)),
+        bounds=np.arange(segments + 1) * n,
+        time=time, angle=angle, rate=rate, acceleration=acceleration,
+        temperature=flat + 25.0, temperature_rate=flat, last_change=np.zeros(segments), values=np.zeros((segments * n, 3)),
+    )  # fmt: skip
+    noise = np.random.default_rng(8).normal(0.0, 0.1 * DEG, (segments * n, 3))
+    return replace(shell, values=shell.omega * [1.0, 1.0, 1.005] + 0.3 * DEG + noise)
+
+
+def test_a_sign_is_found_in_a_recorded_motion_to_and_fro() -> None:
+    sound = _to_and_fro()
+    assert not _found(sound)
+    better, (found,) = corrected(_multiplied(sound, (0, 1, 2), -1.0))
+    assert found.effect == "table_sense_reversed"
+    assert "the sign of the recorded angle" in found.alternative
+    assert np.allclose(better.rate, -sound.rate)
+
+
+@pytest.mark.parametrize("factor", [DEG, 1 / DEG, 60.0])
+def test_a_unit_is_found_in_a_recorded_motion_to_and_fro(factor: float) -> None:
+    sound = _to_and_fro()
+    better, (found,) = corrected(_multiplied(sound, (2,), factor))
+    assert found.effect == "unit_wrong"
+    assert found.parameters == pytest.approx({"excess_gyro_z": factor - 1}, rel=1e-9)
+    assert np.allclose(better.values, sound.values)
+
+
+def test_a_delay_of_a_recorded_motion_is_no_declaration() -> None:
+    sound = _to_and_fro()
+    late = replace(sound, values=np.roll(sound.values, 8, axis=0))  # 0.4 s
+    assert not _found(late)

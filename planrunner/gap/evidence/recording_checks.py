@@ -294,7 +294,12 @@ def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
 
 def segment_means(observed: Observed, values: Array) -> Array:
     """Computes the means of values (N, K) over the segments. Returns an array of shape (S, K)."""
-    return np.array([values[part].mean(axis=0) for part in observed.segments()])
+    return means_over(observed.segments(), values)
+
+
+def means_over(parts: Sequence[slice], values: Array) -> Array:
+    """Computes the means of values (N, K) over parts of the recording. Returns an array with one row for each part."""
+    return np.array([values[part].mean(axis=0) for part in parts])
 
 
 def _check_overlaps(recording: Sequence[RecordedSegment], mark: Mark, log: Findings) -> None:

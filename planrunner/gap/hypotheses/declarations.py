@@ -5,20 +5,23 @@ For each triad, the means of the segments are fitted by a bias and a 3×3 matrix
 declarations, M differs from the identity only by scale factors and misalignments. A wrong declaration makes M a signed permutation,
 possibly multiplied by a known factor between two units. A declaration counts as wrong only if the corrected recording follows the
 plan. Elements of M along directions in which the plan does not vary the stimulus remain undetermined.
+
+A recorded motion is often a motion to and fro, whose mean over a segment is nearly zero. Segments with a recorded motion are therefore
+divided into blocks, and the means of the blocks are used in place of the mean of the segment.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import permutations
+from itertools import pairwise, permutations
 
 import numpy as np
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.declared import rearranged, turned_back
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence.recording_checks import MISFIT, STIRRED, segment_means
+from planrunner.gap.evidence.recording_checks import MISFIT, STIRRED, means_over
 from planrunner.plan.units import STANDARD_GRAVITY
 
 FITS = 0.1
@@ -36,6 +39,9 @@ senses."""
 SEEN = 0.5
 """The unit vector of an axis is projected onto the directions that the plan varies. If the projection is at least this long, the
 channel of the axis can be judged."""
+BLOCKS = (0.1, 0.3, 1.0, 3.0)
+"""Lengths of the blocks of a recorded motion that are tried, s. In long blocks a fast motion averages out; in short blocks, the noise and
+a delay of the reference disturb the fit. The length with the best fit is used."""
 FACTORS: Mapping[str, tuple[tuple[float, str, str], ...]] = {
     "gyro": (
         (180 / np.pi, "degrees", "radians"),
@@ -89,12 +95,14 @@ class _Fit:
 
     `readings`: the reading of each channel, None if the plan does not determine it. `sound`: True if every determined channel
     follows the plan. A channel with a wrong axis, sign or factor also follows the plan if its reading describes this mistake.
-    `misfit`: sum, over the channels, of the squared residuals divided by the sum of squares of the means.
+    `misfit`: sum, over the channels, of the squared residuals divided by the sum of squares of the means. `judged`: number of channels
+    whose input varies enough to judge them.
     """
 
     readings: tuple[_Reading | None, ...]
     sound: bool
     misfit: float
+    judged: int
 
 
 def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
@@ -102,14 +110,16 @@ def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
     wrong declaration is found, or if no correction makes the recording follow the plan."""
     if observed.along is not None or len(observed) < 2:
         return observed, []
-    planned, found = _fit(observed), []
+    parts = _parts(observed)
+    planned, found = _fit(observed, parts), []
     if observed.rate.any():
         other = turned_back(observed)
-        opposite = _fit(other)
+        opposite = _fit(other, parts)
         if _sense_is_reversed(observed, planned, opposite):
             alternative = ""
             if planned.sound and planned.misfit <= CLEARLY**2 * opposite.misfit:
-                alternative = "the signs of all gyros, which these segments cannot distinguish from it"
+                encoder = "the sign of the recorded angle, or " if observed.moved.any() else ""
+                alternative = f"{encoder}the signs of all gyros, which these segments cannot distinguish from it"
             message = "the recording follows a table that turns in the opposite sense of rotation to the declared one"
             found.append(
                 WrongDeclaration("table_sense_reversed", {"share": 1.0}, message, "rates and angles × -1", alternative)
@@ -121,27 +131,54 @@ def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
     if not wrong:
         return observed, found
     better = rearranged(observed, sources, factors)
-    again = _fit(better)
+    again = _fit(better, parts)
     if not again.sound or _of_channels(better, again.readings)[0]:
         return observed, found
     return better, found + wrong
 
 
-def _fit(observed: Observed) -> _Fit:
+def _parts(observed: Observed) -> list[slice]:
+    """Returns the parts of the recording whose means are fitted: the segments, and in their place the blocks of the segments whose
+    motion is recorded. The blocks have the length that lets most channels be judged; if there are several such lengths, the one with
+    the smallest misfit."""
+    if not observed.moved.any():
+        return observed.segments()
+    tried = [_blocks(observed, seconds) for seconds in BLOCKS]
+
+    def quality(parts: Sequence[slice]) -> tuple[int, float]:
+        fit = _fit(observed, parts)
+        return -fit.judged, fit.misfit
+
+    return min(tried, key=quality)
+
+
+def _blocks(observed: Observed, seconds: float) -> list[slice]:
+    """Divides every segment whose motion is recorded into blocks of about the given length. A block has at least one sample."""
+    parts: list[slice] = []
+    for rows, moved in zip(observed.segments(), observed.moved, strict=True):
+        count = rows.stop - rows.start
+        blocks = round(float(np.ptp(observed.time[rows])) / seconds) if moved else 1
+        edges = np.linspace(rows.start, rows.stop, min(max(blocks, 1), count) + 1).astype(int).tolist()
+        parts += [slice(a, b) for a, b in pairwise(edges)]
+    return parts
+
+
+def _fit(observed: Observed, parts: Sequence[slice]) -> _Fit:
+    """Fits a bias and a matrix M for each triad to the means over `parts`."""
     readings: list[_Reading | None] = [None] * len(observed.channels)
-    sound, misfit = True, 0.0
+    sound, misfit, judged = True, 0.0, 0
     for kind in ("gyro", "accel"):
         channels = observed.of_kind(kind)
         if not channels:
             continue
-        stimulus = segment_means(observed, observed.omega if kind == "gyro" else observed.force)
+        stimulus = means_over(parts, observed.omega if kind == "gyro" else observed.force)
         stimulus = stimulus - stimulus.mean(axis=0)
         left, size, directions = np.linalg.svd(stimulus, full_matrices=False)
         used = size / np.sqrt(len(stimulus)) > STIRRED[kind]
         if not used.any():
             continue
         seen = directions[used]
-        means = segment_means(observed, observed.values[:, channels])
+        means = means_over(parts, observed.values[:, channels])
         means = means - means.mean(axis=0)
         gains = (left[:, used].T @ means) / size[used][:, None]
         rest = means - stimulus @ seen.T @ gains
@@ -150,12 +187,13 @@ def _fit(observed: Observed) -> _Fit:
             own = seen[:, observed.channels[index].axis]
             if np.linalg.norm(own) < SEEN or _stuck(observed, index):
                 continue
+            judged += 1
             if float(np.linalg.norm(rest[:, place])) > FITS * float(np.linalg.norm(means[:, place])):
                 sound = False
                 continue
             readings[index] = _reading(gains[:, place], seen, observed.channels[index].axis, kind)
             sound &= readings[index] is not None
-    return _Fit(tuple(readings), sound, misfit)
+    return _Fit(tuple(readings), sound, misfit, judged)
 
 
 def _stuck(observed: Observed, index: int) -> bool:
