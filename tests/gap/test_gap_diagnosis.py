@@ -110,6 +110,23 @@ def test_parameters_beside_a_random_walk_have_its_uncertainty() -> None:
     assert chi2.sf(np.square(away).sum(), len(away)) > 1e-3
 
 
+@pytest.mark.parametrize(("walk", "unbalance"), [(1, 0), (1, 6), (5, 0)])
+def test_the_density_of_a_random_walk_agrees_within_its_uncertainty(walk: float, unbalance: float) -> None:
+    """Beside a strong effect, the density does not contain the effect. Above the levels that are evaluated, its uncertainty is large."""
+
+    def both(
+        observed: Observed, omega: Array, force: Array, draw: np.random.Generator
+    ) -> tuple[Array | float, Array | float]:
+        wandering = _walk(observed, omega, force, draw)[0]
+        return walk * wandering + unbalance * _unbalance(observed, omega, force, draw)[0], 0.0
+
+    found = diagnose(record(seed=18, fault=both))
+    assert "gyro_bias_random_walk" in found.verdict.effects
+    (density,) = (p for p in found.parameters if p.effect == "gyro_bias_random_walk")
+    assert abs(density.value - walk * 2e-4) < 2 * density.standard_uncertainty
+    assert density.value < 2 * walk * 2e-4
+
+
 def test_what_is_not_in_the_catalogue_is_said_to_be() -> None:
     found = diagnose(record(seed=14, fault=_offsets))
     assert found.verdict.kind == "unknown"

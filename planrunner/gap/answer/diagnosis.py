@@ -57,7 +57,7 @@ from planrunner.gap.answer.posterior import PRIORS, UNKNOWN, Posterior, posterio
 from planrunner.gap.answer.remainder import Remainder, dispersions, remainder
 from planrunner.gap.answer.sets import EffectSet, Member, key_of, together
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
-from planrunner.gap.hypotheses.candidates import FULL, Candidate, Forms, Weighing
+from planrunner.gap.hypotheses.candidates import FULL, Candidate, Forms, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of, shape_alone, whole_forms
 from planrunner.observation.refusals import ObservationError
 
@@ -247,7 +247,7 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
         said,
         tuple(ambiguity_set(found.probability, said)),
         absorbed,
-        tuple(_parameters(weighing, said, found, by_id, effects, exact, apart, ratios)),
+        tuple(_parameters(weighing, said, found, by_id, effects, exact, apart, ratios, after)),
         replace(_closure(weighing, noise, choices, max(beyond, 0.0), key, said), unpredicted=unpredicted),
         unknown_form(weighing, found) if "unknown" in (said.kind, said.residue, *said.members) else None,
         rest,
@@ -377,9 +377,10 @@ def _parameters(
     exact: Mapping[str, Forms],
     apart: Apart,
     ratios: Array | None,
+    after: Weighed | None,
 ) -> list[ParameterEstimate]:
     """Estimates the parameters of the effects that the verdict names. The effects of a set are fitted together. `ratios`: the same
-    as in `estimates.amplitudes`."""
+    as in `estimates.amplitudes`. `after`: the named effects that have a signature; None if there are none."""
     listed: list[ParameterEstimate] = []
     walking = any(
         isinstance(e, OutsideCoefficients) and e.outside == "random walk" and e.id in said.effects for e in effects
@@ -388,7 +389,7 @@ def _parameters(
     for name in said.named:
         if name not in by_id:
             on_noise = next(one for one in effects if one.id == name and isinstance(one, OutsideCoefficients))
-            listed += apart.parameters.get(name) or estimates.of_noise(weighing, on_noise)
+            listed += apart.parameters.get(name) or estimates.of_noise(weighing, on_noise, after)
             continue
         shaped = shape_alone(by_id[name])
         if shaped is not None and name in exact:

@@ -128,9 +128,12 @@ def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
     ]
 
 
-def of_noise(weighing: Weighing, effect: OutsideCoefficients) -> list[ParameterEstimate]:
+def of_noise(
+    weighing: Weighing, effect: OutsideCoefficients, beside: Weighed | None = None
+) -> list[ParameterEstimate]:
     """Returns the parameters of an effect on the noise: white noise density or resolution of each channel of the triad, or the
-    density of the random walk."""
+    density of the random walk. `beside`: the other effects that act; without them, a random walk would have to explain what they
+    cause."""
     observed, name, noise = weighing.observed, effect.id, effect.outside
     gyros = observed.of_kind("gyro")
     triad = observed.of_kind(triad_of(effect))
@@ -153,16 +156,21 @@ def of_noise(weighing: Weighing, effect: OutsideCoefficients) -> list[ParameterE
             )
     if noise == "random walk" and gyros:
         walks = np.array([setting.walk for setting in weighing.settings["gyro"]])
-        log = (weighing.base + weighing.log_prior[1]).reshape(weighing.shape).max(1)
+        evidence = weighing.base if beside is None else weighing.base + beside.log_bayes
+        log = np.where(np.isfinite(evidence), evidence + weighing.log_prior[1], -np.inf).reshape(weighing.shape).max(1)
         weight = np.where(walks > 0, np.exp(log - log.max()), 0.0)
         weight /= weight.sum()
         mean = float(weight @ walks)
         spread = float(np.sqrt(weight @ (walks - mean) ** 2))
+        if weight[walks == walks.max()].sum() > _AT_THE_EDGE:  # the density may be larger than every level that was evaluated
+            spread = max(spread, mean)
         factor, text = observed.channels[gyros[0]].factor, observed.channels[gyros[0]].unit
         found.append(ParameterEstimate(name, "density", mean / factor, f"{text}/sqrt(s)", spread / factor))
     return found
 
 
+_AT_THE_EDGE = 0.5
+"""If the largest level of the random walk has a higher probability than this value, the level is only a lower limit of the density."""
 _UNDETERMINED = 1e-6
 """The plan does not determine some combinations (directions) of the parameters. If at most this fraction of a parameter lies in
 such directions, the parameter counts as determined."""
