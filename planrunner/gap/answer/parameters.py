@@ -128,9 +128,7 @@ def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
     ]
 
 
-def of_noise(
-    weighing: Weighing, effect: OutsideCoefficients, beside: Weighed | None = None
-) -> list[ParameterEstimate]:
+def of_noise(weighing: Weighing, effect: OutsideCoefficients, beside: Weighed | None = None) -> list[ParameterEstimate]:
     """Returns the parameters of an effect on the noise: white noise density or resolution of each channel of the triad, or the
     density of the random walk. `beside`: the other effects that act; without them, a random walk would have to explain what they
     cause."""
@@ -162,7 +160,7 @@ def of_noise(
         weight /= weight.sum()
         mean = float(weight @ walks)
         spread = float(np.sqrt(weight @ (walks - mean) ** 2))
-        if weight[walks == walks.max()].sum() > _AT_THE_EDGE:  # the density may be larger than every level that was evaluated
+        if weight[walks == walks.max()].sum() > _AT_THE_EDGE:  # the density may be above every level
             spread = max(spread, mean)
         factor, text = observed.channels[gyros[0]].factor, observed.channels[gyros[0]].unit
         found.append(ParameterEstimate(name, "density", mean / factor, f"{text}/sqrt(s)", spread / factor))
