@@ -151,9 +151,9 @@ class Delay(Shaped):
 def acting(shape: float, by_channel: list[Array]) -> Weighed:
     """An effect with these whitened columns (M,), one a channel."""
     columns = tuple(one[:, None] for one in by_channel)
-    variant = Variant((Column("delay", "1", 1.0, 1.0, {}, axis=None),), shape)
+    variant = Variant((Column("delay", "1", 1.0, 1.0, {}, axis=None),), shape, fixed=(0,))
     energy = sum(float(one @ one) for one in by_channel)
-    return Weighed(variant, np.full((1, 1, 1), energy), np.zeros((1, 1)), energy, 1.0, columns, columns, held=True)
+    return Weighed(variant, np.full((1, 1, 1), energy), np.zeros((1, 1)), energy, 1.0, columns, columns)
 
 
 def test_a_shape_is_widened_by_the_mean_ratio_of_the_channels_that_it_acts_on() -> None:

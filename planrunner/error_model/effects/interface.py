@@ -78,11 +78,13 @@ class Column:
 @dataclass(frozen=True, slots=True)
 class Variant:
     """Describes an effect at one value of its shape. `shape`: the value in `shape_unit`, None for an effect without shape.
-    `widths`: if a variant combines several effects, the number of columns of each effect."""
+    `widths`: if a variant combines several effects, the number of columns of each effect. `fixed`: the columns whose amplitude
+    physics fixes at 1, so that it is not fitted."""
 
     columns: tuple[Column, ...]
     shape: float | None = None
     widths: tuple[int, ...] = ()
+    fixed: tuple[int, ...] = ()
 
 
 class Effect(Protocol):

@@ -37,7 +37,7 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Effect
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
 from planrunner.gap.evidence.weighing import DEPENDENT, ChannelWeights
-from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing, joined
 from planrunner.gap.hypotheses.forms import OnOthers, OperatingPoint, on_output, operating_point
 
 FOLDS = 4
@@ -161,27 +161,12 @@ class FoldChoice:
     def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
         """Computes the mean (p,) and the covariance (p, p) of the amplitudes from their information matrix `gram` (p, p) and their
         score vector `score` (p,)."""
-        mean: Array = np.ones(len(score))
-        covariance, free = np.zeros_like(gram), self.free
-        if len(free):
-            widths = [width for width, first in self._starts() if width > 1 or first not in self.fixed]
-            left = score[free] - gram[free][:, list(self.fixed)].sum(axis=1)
-            mean[free], covariance[np.ix_(free, free)] = best_amplitudes(gram[np.ix_(free, free)], left, widths)
-        return mean, covariance
+        return best_amplitudes(gram, score, self.widths, self.fixed)
 
     def log_bayes(self, gram: Array, score: Array) -> float:
         """Computes the log Bayes factor of the choice from the information matrix `gram` (p, p) and the score vector `score` (p,)
         of its amplitudes."""
-        fixed, free = list(self.fixed), self.free
-        found = float(score[fixed].sum() - 0.5 * gram[fixed][:, fixed].sum())
-        if len(free):
-            own, left = gram[np.ix_(free, free)], score[free] - gram[free][:, fixed].sum(axis=1)
-            found += float(log_bayes_factors(own[None], left[None], float(np.trace(own)))[0])
-        return found
-
-    def _starts(self) -> list[tuple[int, int]]:
-        """Returns, for each effect, the number of its columns and the index of its first column."""
-        return list(zip(self.widths, np.cumsum([0, *self.widths[:-1]]).tolist(), strict=True))
+        return float(log_bayes_factors(gram, score, fixed=self.fixed))
 
 
 @dataclass(frozen=True)
@@ -290,9 +275,7 @@ def choices_of(
     for number, (form, candidate) in enumerate(members):
         others = _probable_shapes(form, candidate) if acting is None else []
         varied += [([*best[:number], other, *best[number + 1 :]], prior) for other, prior in others]
-    widths = tuple(len(form.variant.columns) for form in best)
-    starts = np.cumsum([0, *widths[:-1]]).tolist()
-    fixed = tuple(start for start, form in zip(starts, best, strict=True) if form.held)
+    whole = joined(best)
     shares = [1 / len(varied)] * len(varied)
     point = _operating_point(weighing, members) if acting is None else acting[1].point
     if acting is not None:
@@ -302,10 +285,10 @@ def choices_of(
         FoldChoice(
             effect,
             tuple(np.hstack(blocks) for blocks in zip(*(form.raw for form in forms), strict=True)),
-            widths,
+            whole.widths,
             probability * share,
             prior,
-            fixed,
+            whole.fixed,
             point,
         )
         for (forms, prior), share in zip(varied, shares, strict=True)
@@ -333,13 +316,8 @@ def _operating_point(weighing: Weighing, members: Sequence[tuple[Weighed, Candid
         effect = on_output(candidate.effect)
         if effect is None:
             continue
-        widths = [len(form.variant.columns) for form, _ in members]
-        columns = [np.hstack(blocks) for blocks in zip(*(form.by_channel for form, _ in members), strict=True)]
-        gram = np.sum([block.T @ block for block in columns], axis=0)
-        score = np.sum(
-            [block.T @ own[0].residual for block, own in zip(columns, weighing.weights, strict=True)], axis=0
-        )
-        amplitude = float(best_amplitudes(gram, score, widths)[0][sum(widths[:number])])
+        whole = weighing.together([form for form, _ in members])
+        amplitude = float(whole.amplitudes[0][sum(whole.variant.widths[:number])])
         taken = [raw[:, 0] for raw in candidate.best.raw] if candidate.settled else None
         return operating_point(weighing, effect, float(form.variant.shape or 0.0), taken, amplitude)
     return None

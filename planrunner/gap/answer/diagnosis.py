@@ -223,7 +223,8 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     exact = _exact(weighing, by_id[named[0]]) if len(named) == 1 else {}
     choices = _choices(weighing, found, by_id, walks, exact)
     if after is not None and all(choice.effect != key for choice in choices):
-        choices.append(FoldChoice(key, after.raw, after.variant.widths or (len(after.variant.columns),), 0.0))
+        widths = after.variant.widths or (len(after.variant.columns),)
+        choices.append(FoldChoice(key, after.raw, widths, 0.0, fixed=after.variant.fixed))
     rest = None if after is None or walks & set(said.effects) else remainder(weighing, after, said.something_else)
     ratios = (
         None

@@ -44,8 +44,6 @@ def amplitudes(
     noise at its most probable setting (levels of flicker and random walk); None if the residuals are only noise. Amplitudes that
     are fixed at 1 are omitted, because they are not parameters.
     """
-    if weighed.held:
-        return []
     mean, covariance = weighing.amplitudes(weighed, walking)
     if ratios is not None:
         at = weighing.likeliest_with(weighed.log_bayes, walking)
@@ -53,7 +51,8 @@ def amplitudes(
         excess = sum((r - 1) * own.T @ own for r, own in zip(ratios, whitened, strict=True))
         covariance = covariance + covariance @ excess @ covariance  # White, Econometrica 48, 1980
     spread = np.sqrt(np.diag(covariance))
-    listed = zip(weighed.variant.columns[columns], mean[columns], spread[columns], strict=True)
+    free = [k for k in range(len(mean))[columns] if k not in weighed.variant.fixed]
+    listed = [(weighed.variant.columns[k], mean[k], spread[k]) for k in free]
     return [
         ParameterEstimate(
             effect,

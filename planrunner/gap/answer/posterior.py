@@ -272,8 +272,7 @@ def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
         return candidate
     usable = [item for item in candidate.variants if item.trace > 0]
     raw = [np.hstack(blocks) for blocks in zip(*(item.raw for item in usable), strict=True)]
-    again = weighing.weigh([item.variant for item in usable], raw)
-    weighed = [replace(item, held=old.held) for item, old in zip(again, usable, strict=True)]
+    weighed = weighing.weigh([item.variant for item in usable], raw)
     best = np.max([item.log_bayes for item in weighed], axis=0)
     return replace(candidate, variants=tuple(weighed), log_bayes=best + candidate.shape_cost)
 

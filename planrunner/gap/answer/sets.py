@@ -164,7 +164,7 @@ def _weighed_again(weighing: Weighing, members: Sequence[Member]) -> tuple[Membe
     found = []
     for member in members:
         (form,) = weighing.weigh([member.form.variant], member.form.raw)
-        found.append(replace(member, form=replace(form, held=member.form.held)))
+        found.append(replace(member, form=form))
     return tuple(found)
 
 
@@ -200,7 +200,7 @@ def _with_output(weighing: Weighing, usable: Sequence[Candidate], least: float) 
     for again in candidates_of(weighing.with_known(columns, amplitudes), [c.effect for c in acting]):
         if np.isfinite(again.log_bayes).any():
             (form,) = weighing.weigh([again.best.variant], again.best.raw)
-            members = Member.best(first), Member(again, replace(form, held=again.best.held), again.shape_cost)
+            members = Member.best(first), Member(again, form, again.shape_cost)
             if form.trace > 0:
                 found.append(_evaluated(weighing, members))
     found.sort(key=lambda one: -one.evidence)
@@ -224,11 +224,7 @@ def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[C
 
 def together(weighing: Weighing, members: Sequence[Member]) -> Weighed:
     """Evaluates the columns of several effects side by side."""
-    columns = [member.form.variant.columns for member in members]
-    raw = [np.hstack(blocks) for blocks in zip(*(member.form.raw for member in members), strict=True)]
-    whole = Variant(tuple(column for own in columns for column in own), widths=tuple(map(len, columns)))
-    (weighed,) = weighing.weigh([whole], raw)
-    return weighed
+    return weighing.together([member.form for member in members])
 
 
 def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
@@ -251,7 +247,6 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
     widths = weighed.variant.widths
     traces = [member.form.trace for member in members]
     scales = best_scales(weighed.gram[0], weighed.score[0], widths)
-    held = [int(end) - 1 for end, member in zip(np.cumsum(widths), members, strict=True) if member.form.held]
     rough = weighing.base + log_prior + set_log_evidence(weighed.gram, weighed.score, scales)
     found = np.full(len(weighing.base), -np.inf)
     for g in np.flatnonzero(rough > rough.max() - MATTERS):
@@ -260,8 +255,8 @@ def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], 
             found[g] = pair_log_bayes_factor(gram, score, widths[0], (traces[0], traces[1]), PAIR_ENERGIES)
         else:
             found[g] = set_log_bayes_factor(gram, score, widths, traces, PAIR_ENERGIES, scales)
-        if held:
-            found[g] += held_among(gram, score, scales, held)
+        if weighed.variant.fixed:
+            found[g] += held_among(gram, score, scales, weighed.variant.fixed)
     return weighed.if_possible(found) + sum(member.cost for member in members)
 
 
@@ -278,8 +273,7 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
             if not np.isfinite(again.log_bayes).any():
                 continue
             (form,) = weighing.weigh([again.best.variant], again.best.raw)
-            form, least = replace(form, held=again.best.held), one.evidence
-            changed = Member(again, form, again.shape_cost)
+            changed, least = Member(again, form, again.shape_cost), one.evidence
         elif isinstance(effect, Curved) and float(member.form.log_bayes.max()) > BENT:
             (form,), least = weighing.weigh(_around(weighing, one, member, effect)), one.evidence - WORSE
             changed = replace(member, form=form)

@@ -32,14 +32,27 @@ GAIN = 0.01
 output that contains the scale factor error and the misalignment of the sensor. These errors are rarely larger than this value."""
 
 
-def log_bayes_factors(gram: Array, score: Array, trace: float | None = None) -> Array:
+def log_bayes_factors(gram: Array, score: Array, trace: float | None = None, fixed: Sequence[int] = ()) -> Array:
     """Computes the log Bayes factor, averaged over λ, for stacked arrays gram (…, p, p) and score (…, p). The arrays are in units
     of the prior magnitudes (D = I).
 
     `trace`: energy of the effect for an amplitude of 1, which scales the grid of s². The default is tr(gram) of the first stacked
-    array.
+    array, without the fixed columns. `fixed`: columns with the amplitude 1. λ is then the energy of the other columns.
     """
-    return averaged(by_energy(gram, score, trace))
+    own, left = _free(gram, score, fixed)
+    at = list(fixed)
+    certain = score[..., at].sum(-1) - 0.5 * gram[..., at, :][..., at].sum((-2, -1))
+    return certain + averaged(by_energy(own, left, trace)) if own.shape[-1] else np.asarray(certain)
+
+
+def _free(gram: Array, score: Array, fixed: Sequence[int]) -> tuple[Array, Array]:
+    """Returns the information and the score of the amplitudes that are not fixed at 1, after the fixed columns have been subtracted
+    from the data. `gram` (…, p, p), `score` (…, p), `fixed`: the same as in `log_bayes_factors`."""
+    if not fixed:
+        return gram, score
+    free = np.delete(np.arange(score.shape[-1]), list(fixed))
+    rows = gram[..., free, :]
+    return rows[..., free], score[..., free] - rows[..., list(fixed)].sum(-1)
 
 
 def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
@@ -98,12 +111,6 @@ def held_log_bayes_factor(gram: Array, score: Array) -> Array:
     return np.asarray(0.5 * ((score + precision) ** 2 / grown - precision - np.log(grown / precision)))
 
 
-def held_amplitude(gram: float, score: float) -> tuple[float, float]:
-    """Returns the posterior mean and variance of an amplitude with the prior N(1, `GAIN`²)."""
-    precision = 1 / GAIN**2
-    return (score + precision) / (gram + precision), 1 / (gram + precision)
-
-
 def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
     """Computes the change of the log Bayes factor if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of
     N(0, s²). `scales`: array of shape (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density
@@ -117,14 +124,25 @@ def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) ->
     return float(after - before)
 
 
-def best_amplitudes(gram: Array, score: Array, widths: Sequence[int] = ()) -> tuple[Array, Array]:
+def best_amplitudes(
+    gram: Array, score: Array, widths: Sequence[int] = (), fixed: Sequence[int] = ()
+) -> tuple[Array, Array]:
     """Returns the posterior mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their
     magnitudes.
 
-    `widths`: number of columns of each effect if the columns belong to several effects, each with a separate s².
+    `widths`: number of columns of each effect if the columns belong to several effects, each with a separate s². `fixed`: columns
+    whose amplitude physics fixes at 1, so that its variance is 0.
     """
-    covariance: Array = np.asarray(np.linalg.inv(gram + np.diag(1 / best_scales(gram, score, widths))))
-    return covariance @ score, covariance
+    p = len(score)
+    free = np.delete(np.arange(p), list(fixed))
+    mean, covariance = np.ones(p), np.zeros((p, p))
+    if len(free):
+        own, left = _free(gram, score, fixed)
+        owners = np.repeat(np.arange(len(widths)), widths)[free] if widths else np.zeros(len(free), dtype=int)
+        among = np.bincount(owners)
+        inverse = np.linalg.inv(own + np.diag(1 / best_scales(own, left, among[among > 0].tolist())))
+        mean[free], covariance[np.ix_(free, free)] = inverse @ left, inverse
+    return mean, covariance
 
 
 def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:

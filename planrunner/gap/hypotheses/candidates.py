@@ -19,7 +19,6 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import (
     WEAKEST,
     best_amplitudes,
-    held_amplitude,
     held_log_bayes_factor,
     log_bayes_factors,
 )
@@ -58,8 +57,7 @@ class Weighed:
 
     `trace`: energy of the columns after projection, at the first setting of the noise. `kept`: ratio of this energy to the energy
     before projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before
-    whitening and projection, each for an amplitude of one magnitude. `held`: True if the variant has a single amplitude that
-    physics fixes at 1, so that only the shape is free.
+    whitening and projection, each for an amplitude of one magnitude.
     """
 
     variant: Variant
@@ -69,16 +67,21 @@ class Weighed:
     kept: float
     by_channel: tuple[Array, ...] = field(repr=False)
     raw: tuple[Array, ...] = field(repr=False)
-    held: bool = False
+
+    @property
+    def held(self) -> bool:
+        """Returns True if the variant has a single amplitude that physics fixes at 1, so that only the shape is free."""
+        return len(self.variant.columns) == len(self.variant.fixed) == 1
 
     @cached_property
     def log_bayes(self) -> Array:
         """Returns the log Bayes factor at each setting of the noise, shape (G,). If the amplitudes are free, the factor is an
-        average over the strength of the effect, its energy λ in units of the noise. An amplitude that physics fixes is kept near
-        1."""
+        average over the strength of the effect, its energy λ in units of the noise. The amplitude of an effect without a free
+        amplitude is kept near 1."""
         if self.held:
             return held_log_bayes_factor(self.gram[:, 0, 0], self.score[:, 0])
-        return self.if_possible(log_bayes_factors(self.gram, self.score, self.trace))
+        fixed = self.variant.fixed
+        return self.if_possible(log_bayes_factors(self.gram, self.score, None if fixed else self.trace, fixed))
 
     def if_possible(self, log_bayes: Array) -> Array:
         """Returns the log Bayes factor under the condition that the amplitudes are physically possible, shape (G,). `log_bayes`:
@@ -96,8 +99,12 @@ class Weighed:
     def log_possible(self) -> float:
         """Returns the logarithm of the probability that every amplitude is physically possible; it is negative or zero. The log
         Bayes factor for a prior without limits, plus this value, is the log Bayes factor for a prior with the physical limits."""
-        columns = self.variant.columns
-        limited = [k for k, column in enumerate(columns) if np.isfinite([column.smallest, column.largest]).any()]
+        columns, fixed = self.variant.columns, self.variant.fixed
+        limited = [
+            k
+            for k, column in enumerate(columns)
+            if k not in fixed and np.isfinite([column.smallest, column.largest]).any()
+        ]
         if not limited:
             return 0.0
         from scipy.special import log_ndtr
@@ -128,10 +135,7 @@ class Weighed:
 
     def amplitudes_at(self, setting: int) -> tuple[Array, Array]:
         """Returns mean (p,) and covariance (p, p) of the amplitudes in magnitudes, at one setting of the noise."""
-        if self.held:
-            mean, variance = held_amplitude(float(self.gram[setting, 0, 0]), float(self.score[setting, 0]))
-            return np.array([mean]), np.array([[variance]])
-        return best_amplitudes(self.gram[setting], self.score[setting], self.variant.widths)
+        return best_amplitudes(self.gram[setting], self.score[setting], self.variant.widths, self.variant.fixed)
 
 
 Forms = Sequence[tuple[Weighed, float]]
@@ -558,6 +562,12 @@ class Weighing:
             for v, variant in enumerate(variants)
         ]
 
+    def together(self, forms: Sequence[Weighed]) -> Weighed:
+        """Evaluates the columns of several effects side by side. `forms`: one form of each effect."""
+        raw = [np.hstack(blocks) for blocks in zip(*(form.raw for form in forms), strict=True)]
+        (weighed,) = self.weigh([joined(forms)], raw)
+        return weighed
+
     @staticmethod
     def _weighed(
         variant: Variant,
@@ -576,6 +586,15 @@ class Weighing:
         trace = float(np.trace(gram[0]))
         blocks = tuple(block[:, part] for block in first), tuple(block[:, part] for block in raw)
         return Weighed(variant, gram, score, trace, trace / max(before, 1e-300), *blocks)
+
+
+def joined(forms: Sequence[Weighed]) -> Variant:
+    """Returns the variant that contains the columns of several effects side by side. `forms`: one form of each effect."""
+    columns = [form.variant.columns for form in forms]
+    widths = tuple(map(len, columns))
+    starts = np.cumsum([0, *widths[:-1]]).tolist()
+    fixed = tuple(start + k for start, form in zip(starts, forms, strict=True) for k in form.variant.fixed)
+    return Variant(tuple(column for own in columns for column in own), widths=widths, fixed=fixed)
 
 
 def _without_samples(variant: Variant) -> Variant:

@@ -190,7 +190,7 @@ def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed]) -> tuple[tu
     forms = whole_forms(weighing, effect) if best.amplitudes[0][0] > 0 else []
     if len(forms) < 3 or any(form.trace <= 0 for form, _ in forms):
         return ()
-    return tuple((replace(form, held=True), share) for form, share in forms)
+    return tuple(forms)
 
 
 def _averaged(forms: Sequence[Weighed]) -> Array:
@@ -251,13 +251,13 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
 def whole_forms(
     weighing: Weighing, effect: Shaped, near: Weighed | None = None, columns: Sequence[Column] = ()
 ) -> list[tuple[Weighed, float]]:
-    """Returns the forms around the most probable shape, in equal steps of the logarithm of the shape, and their probabilities. If
-    the data require the opposite sign, no form explains the data better than no effect, and the result is empty. `near`: a form
-    from which the search starts, None if no form is known. `columns`: columns, with samples, of other effects whose amplitudes are
-    not known exactly."""
+    """Returns the forms with the amplitude 1 around the most probable shape, in equal steps of the logarithm of the shape, and their
+    probabilities. If the data require the opposite sign, no form explains the data better than no effect, and the result is empty.
+    `near`: a form from which the search starts, None if no form is known. `columns`: columns, with samples, of other effects whose
+    amplitudes are not known exactly."""
     found = _search(weighing.without_walks(), effect, near, columns)
     around = found.shape * np.exp(found.sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
-    variants, raw = weighing.projected([effect.at(found.seen, float(value))] for value in around)
+    variants, raw = weighing.projected([replace(effect.at(found.seen, float(value)), fixed=(0,))] for value in around)
     forms = weighing.weigh(variants, raw)
     if max(_evidence(weighing, form) for form in forms) < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
         return []
@@ -387,7 +387,7 @@ def on_others(
         (weighed,) = weighing.weigh([one.variant], raw)
         if weighed.kept <= ABSORBED:  # a limit near zero, for example, leaves nothing of the output
             return None
-        made.append((replace(weighed, held=True), share))
+        made.append((weighed, share))
     return OnOthers(tuple(made), tuple(others), point)
 
 
