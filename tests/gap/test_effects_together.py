@@ -16,6 +16,7 @@ from planrunner.gap.answer.closure import predictions
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import BENT, candidates_of
+from planrunner.plan.schedule import Rock
 from tests.gap.test_closure import holds
 from tests.gap.turntable import DEG, G, record
 
@@ -88,6 +89,25 @@ def test_a_limited_output_does_not_show_another_effect() -> None:
         energy = (pair.weighed.raw[channel][:, columns] ** 2).sum(axis=1)
         assert energy[cut].max(initial=0.0) < 1e-8 * energy[~cut].max()
     assert seen > 0
+
+
+def test_a_lag_beside_another_effect_has_no_amplitude() -> None:
+    """The lag of a gyro is described by its time constant alone, in a set as well as alone. The table rocks by 3 deg at 0.5 Hz."""
+    tau, p = 0.004, np.pi
+
+    def lagging(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        rocked = np.array([isinstance(motion, Rock) for motion in observed.motions])[observed.owner]
+        lagged = (observed.rate - tau * observed.acceleration) / (1 + (p * tau) ** 2)
+        slower = np.where(rocked, lagged - observed.rate, 0.0)
+        return slower[:, None] * observed.attitude[observed.owner, :, 2] + force @ K.T, 0.0
+
+    exact = record(seed=2, sampling=SAMPLING, clean=True, fault=lagging)
+    found = diagnose(_noisy(exact, exact.values, 2))
+    assert set(found.verdict.effects) == {"gyro_bandwidth", "gyro_g_sensitivity"}
+    (one,) = [own for own in found.parameters if own.effect == "gyro_bandwidth"]
+    assert one.name == "tau"
+    assert abs(one.value - tau) < 4 * one.standard_uncertainty
+    assert one.standard_uncertainty < 0.02 * tau
 
 
 @pytest.mark.parametrize("angle", [0.2, -0.25])

@@ -79,6 +79,39 @@ def test_amplitudes_of_strong_evidence_are_least_squares() -> None:
     assert np.sqrt(np.diag(covariance)) == pytest.approx(np.sqrt(np.diag(np.linalg.inv(X.T @ X))), rel=1e-2)
 
 
+def test_an_amplitude_that_is_fixed_at_1_leaves_the_other_ones_more_certain() -> None:
+    """Two columns with the correlation 0.98; the amplitude of the first is 1. The others follow from least squares on the data minus the
+    first column, and their errors are a quarter of those with a free first amplitude, or less."""
+    draw = np.random.default_rng(6)
+    X = draw.normal(size=(60, 3)) * 10
+    X[:, 1] = 0.98 * X[:, 0] + 0.2 * X[:, 1]
+    true, errors = np.array([1.0, 0.6, -0.5]), []
+    for _ in range(200):
+        y = X @ true + draw.normal(size=60)
+        mean, covariance = best_amplitudes(X.T @ X, X.T @ y, (1, 1, 1), fixed=(0,))
+        free, _ = best_amplitudes(X.T @ X, X.T @ y, (1, 1, 1))
+        assert mean[0] == 1.0
+        assert not covariance[0].any()
+        assert mean[1:] == pytest.approx(np.linalg.lstsq(X[:, 1:], y - X[:, 0], rcond=None)[0], abs=1e-3)
+        errors.append([mean[1] - true[1], free[1] - true[1], np.sqrt(covariance[1, 1])])
+    fixed, left_free, stated = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert fixed == pytest.approx(stated, rel=0.15)
+    assert fixed < 0.25 * left_free
+
+
+def test_the_evidence_beside_an_amplitude_that_is_fixed_at_1() -> None:
+    """The factor of the fixed column is that of a known signal; the others explain the data minus this column."""
+    draw = np.random.default_rng(7)
+    X = draw.normal(size=(40, 3))
+    y = X @ [1.0, 3.0, -2.0] + draw.normal(size=40)
+    rest, others = y - X[:, 1], X[:, [0, 2]]
+    known = -0.5 * float(rest @ rest - y @ y)
+    expected = known + log_bayes_factors(others.T @ others, others.T @ rest)
+    assert log_bayes_factors(X.T @ X, X.T @ y, fixed=(1,)) == pytest.approx(expected, rel=1e-9)
+    one = X[:, [1]]
+    assert log_bayes_factors(one.T @ one, one.T @ y, fixed=(0,)) == pytest.approx(known, rel=1e-9)
+
+
 def test_log_mean_exp_does_not_overflow() -> None:
     assert log_mean_exp(np.array([1000.0, 1000.0]), 0) == pytest.approx(1000.0)
     assert log_mean_exp(np.array([0.0, -np.inf]), 0) == pytest.approx(-np.log(2))
