@@ -16,7 +16,7 @@ from pathlib import Path
 from benchmarks.made_archive import make_archive
 from benchmarks.measuring import Figures, peak_memory
 from planrunner.base.workers import ALONE, Workers, results_in_order, results_of
-from planrunner.tasks.run import evaluate_run
+from planrunner.tasks.estimate import evaluate_run
 from tests.dask_cluster import Cluster, dask_cluster
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from planrunner.execution.stopping import StopRequest
 from planrunner.tasks import run as running
 from planrunner.tasks.check import Document, check_plan
+from planrunner.tasks.estimate import analyse_run
 
 ORIGINALS = 4
 _PLAN = """\
@@ -41,7 +42,7 @@ def make_archive(archive: Path, runs: int, segments: int = 10, dwell: str = "30 
         )
         assert outcome.ok
         if analysed:
-            running.analyse_run(folder)
+            analyse_run(folder)
         originals.append(folder)
     for number in range(len(originals), runs):
         original = originals[number % len(originals)]

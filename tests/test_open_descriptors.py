@@ -12,6 +12,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.execution.stopping import StopRequest
 from planrunner.tasks import run as running
 from planrunner.tasks.check import check_plan
+from planrunner.tasks.estimate import analyse_run
 
 PLAN = Path(__file__).parent / "agreement" / "corpus" / "counts_that_alternate.yaml"
 OPEN = Path("/proc/self/fd")
@@ -24,7 +25,7 @@ def test_runs_give_back_what_they_open(tmp_path: Path) -> None:
     for _ in range(4):
         folder, outcome = running.start(sound, info={}, runs=tmp_path, stop=StopRequest(), durability="flushed")
         assert outcome.ok
-        running.analyse_run(folder)
+        analyse_run(folder)
         for _ in range(5):
             reader = RunReader.open(folder)
             reader.check_digests()

@@ -29,14 +29,14 @@ def run(args: argparse.Namespace) -> int:
 
 def _amend(folder: Path, args: argparse.Namespace) -> Done:
     from planrunner.plan import source
-    from planrunner.tasks import run as running
     from planrunner.tasks.amendment import Amendment
     from planrunner.tasks.check import Document
+    from planrunner.tasks.estimate import analyse_run
 
     plan = None if args.plan is None else Document(source.read_bytes(args.plan), str(args.plan))
     amendment = Amendment(args.by, args.why, plan, args.analysis)
     with reading_progress() as notice:
-        analysis = running.analyse_run(folder, notice=notice, amendment=amendment)
+        analysis = analyse_run(folder, notice=notice, amendment=amendment)
     verdict = "the same numbers as" if analysis.same else "other numbers than"
     print(f"analysis {analysis.folder.name} has {verdict} analysis {analysis.before}", file=sys.stderr)
     return conclude(analysis, as_json=args.json)

@@ -18,8 +18,8 @@ from planrunner.cli.outcome import conclude
 from planrunner.cli.progress import reading_progress
 
 if TYPE_CHECKING:
+    from planrunner.tasks.estimate import Evaluated
     from planrunner.tasks.prove import Proof
-    from planrunner.tasks.run import Evaluated
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
         return each_result(runs, work, show, workers, what="recomputing the runs", as_json=args.json)
     if len(runs) == 1:
         return each_run(runs, lambda folder: _estimate(folder, workers, as_json=args.json), as_json=args.json)
-    from planrunner.tasks.run import evaluate_run
+    from planrunner.tasks.estimate import evaluate_run
 
     keep = partial(_keep, as_json=args.json, elsewhere=workers.scheduler is not None)
     return each_result(runs, evaluate_run, keep, workers, what="estimating the runs", as_json=args.json)
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _estimate(folder: Path, workers: Workers, *, as_json: bool) -> Done:
     """Makes the estimates of one run and shows the progress of reading it. The workers share the Monte Carlo draws."""
-    from planrunner.tasks.run import evaluate_run
+    from planrunner.tasks.estimate import evaluate_run
 
     with reading_progress() as notice:
         made = evaluate_run(folder, notice=notice, workers=workers)
@@ -66,7 +66,7 @@ def _estimate(folder: Path, workers: Workers, *, as_json: bool) -> Done:
 
 def _keep(made: Evaluated, *, as_json: bool, elsewhere: bool = False) -> Done:
     from planrunner.archive.remote import push_back
-    from planrunner.tasks.run import keep
+    from planrunner.tasks.estimate import keep
 
     analysis = keep(made, elsewhere=elsewhere)
     push_back(made.run, analysis.folder)

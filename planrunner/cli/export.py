@@ -56,7 +56,7 @@ def _export(run: Path, asked: str, args: argparse.Namespace, *, folder: bool) ->
     from planrunner.archive.segment_file import safe_name
     from planrunner.estimators.results import Results
     from planrunner.reporting.export import export
-    from planrunner.tasks.run import stored_results
+    from planrunner.tasks.estimate import stored_results
 
     reader = RunReader.open(run)
     print_findings(reader.findings)

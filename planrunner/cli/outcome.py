@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from planrunner.estimators.results import Results
     from planrunner.execution.executor import Outcome
     from planrunner.reporting.verdict import Headline
-    from planrunner.tasks.run import Analysis
+    from planrunner.tasks.estimate import Analysis
 
 
 def tell(folder: Path, outcome: Outcome, *, as_json: bool) -> int:

@@ -90,21 +90,21 @@ def _report(run: Path, names: tuple[str, ...], args: argparse.Namespace) -> Done
     from planrunner.archive.remote import push_back
     from planrunner.archive.run_reader import RunReader
     from planrunner.tasks import certify as certifying
-    from planrunner.tasks import run as running
+    from planrunner.tasks.estimate import Issue, analyse_run, report_through
 
     recorded = RunReader.open(run).run["info"]
     given = gather_for_issue([*certifying.names(), *recorded], args.set, args.info)
-    issue = running.Issue(names, given, args.before, ring_of(args))
+    issue = Issue(names, given, args.before, ring_of(args))
     if args.template is None:
         with reading_progress() as notice:
-            analysis = running.analyse_run(run, issue, notice=notice)
+            analysis = analyse_run(run, issue, notice=notice)
         push_back(run, analysis.folder)
         print_findings((*analysis.remarks, *analysis.withheld, *analysis.unsigned))
         written = [*analysis.reports]
         found = {"analysis": str(analysis.folder), "withheld": [finding.to_json() for finding in analysis.withheld]}
     else:
         with reading_progress() as notice:
-            text = running.report_through(run, args.template, issue, notice)
+            text = report_through(run, args.template, issue, notice)
         written = [args.output or Path(args.template.name.removesuffix(".j2"))]
         write_file(written[0], text)
         found = {}

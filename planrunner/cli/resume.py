@@ -60,6 +60,7 @@ def run(args: argparse.Namespace) -> int:
         return exit_codes.DONE
     from planrunner.execution.stopping import StopRequest
     from planrunner.tasks import run as running
+    from planrunner.tasks.estimate import analyse_run
 
     retake = running.Retake(tuple(args.retake), args.reason) if args.retake else None
     with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:
@@ -79,5 +80,5 @@ def run(args: argparse.Namespace) -> int:
         return tell(folder, outcome, as_json=args.json)
     print_findings((*outcome.remarks, *outcome.unsigned))
     with reading_progress(args.quiet) as notice:
-        analysis = running.analyse_run(folder, notice=notice)
+        analysis = analyse_run(folder, notice=notice)
     return finish(analysis, outcome, as_json=args.json, run=folder)

@@ -101,6 +101,7 @@ def run(args: argparse.Namespace) -> int:
     admission = _admission(args, sound, info)
     from planrunner.execution.stopping import StopRequest
     from planrunner.tasks import run as running
+    from planrunner.tasks.estimate import analyse_run
 
     with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:
         folder, outcome = running.start(
@@ -120,7 +121,7 @@ def run(args: argparse.Namespace) -> int:
         return tell(folder, outcome, as_json=args.json)
     print_findings((*outcome.remarks, *outcome.unsigned))
     with reading_progress(args.quiet) as notice:
-        analysis = running.analyse_run(folder, checked=sound, notice=notice)
+        analysis = analyse_run(folder, checked=sound, notice=notice)
     standard = sound.bench.check_standard
     return finish(analysis, outcome, as_json=args.json, run=None if standard is None else folder)
 

@@ -44,6 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from planrunner.execution.stopping import StopRequest
     from planrunner.tasks import run as running
+    from planrunner.tasks.estimate import analyse_run
     from planrunner.tasks.simulate import simulation
 
     made = simulation(args.plan, args.bench, args.effects, parameters_of(args.parameter))
@@ -66,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"added {line}" if made.additions else line, file=out)
     print_findings((*outcome.remarks, *outcome.unsigned))
     with reading_progress(args.quiet) as notice:
-        analysis = running.analyse_run(folder, checked=made.sound, notice=notice)
+        analysis = analyse_run(folder, checked=made.sound, notice=notice)
     code = finish(analysis, outcome, as_json=args.json)
     print(folder, file=out)
     return code

@@ -37,7 +37,7 @@ from planrunner.plan.selection import Detection, select
 from planrunner.plan.span import Span
 from planrunner.plan.units import DIMENSIONS, STANDARD_GRAVITY, unit
 from planrunner.tasks.check import Sound, check_plan
-from planrunner.tasks.run import sound_run
+from planrunner.tasks.estimate import sound_run
 
 if TYPE_CHECKING:
     from planrunner.bench.specification import Sense

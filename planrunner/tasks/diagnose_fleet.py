@@ -421,7 +421,7 @@ class _Opened:
 
 
 def _opened(run: Path) -> _Opened:
-    from planrunner.tasks.run import sound_run
+    from planrunner.tasks.estimate import sound_run
 
     reader = RunReader.open(run)
     bench = sound_run(reader).bench

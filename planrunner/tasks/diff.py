@@ -29,7 +29,7 @@ from planrunner.review.difference import difference
 from planrunner.review.meaning import Meaning, meaning_of_bench, meaning_of_plan
 from planrunner.review.runs import run_difference
 from planrunner.tasks.check import Checked, Document, check_plan
-from planrunner.tasks.run import stored_results
+from planrunner.tasks.estimate import stored_results
 
 
 def compare(

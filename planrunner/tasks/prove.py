@@ -16,7 +16,7 @@ from planrunner.base.documents import Json, JsonObject
 from planrunner.base.progress import Announce
 from planrunner.base.workers import ALONE, Workers
 from planrunner.estimators.results import Results, comparable
-from planrunner.tasks.run import computed_by, recompute, stored_results
+from planrunner.tasks.estimate import computed_by, recompute, stored_results
 
 Reproduced = Literal["identical", "within tolerance", "different"]
 

@@ -22,8 +22,7 @@ from planrunner.signing.key_ring import KeyRing
 from planrunner.tasks.amendment import in_words, stored_amendment
 from planrunner.tasks.approvals import run_approvals
 from planrunner.tasks.check import Sound
-from planrunner.tasks.report import report_context
-from planrunner.tasks.run import evaluated_as, stored_results
+from planrunner.tasks.estimate import evaluated_as, report_context, stored_results
 from planrunner.tasks.verify import verification, verify_evaluations, verify_signatures
 
 UNUSUAL = ("noticed", "paused", "rescued", "failed", "stopped", "reopened")

@@ -18,7 +18,8 @@ from planrunner.estimators.results import Results
 from planrunner.execution.stopping import StopRequest
 from planrunner.plan import source
 from planrunner.tasks.check import check_plan
-from planrunner.tasks.run import analyse_run, start
+from planrunner.tasks.estimate import analyse_run
+from planrunner.tasks.run import start
 
 
 @dataclass(frozen=True, slots=True)

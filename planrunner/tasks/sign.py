@@ -25,8 +25,8 @@ from planrunner.signing.run_signatures import (
 )
 from planrunner.tasks.approvals import run_approvals
 from planrunner.tasks.bench_signature import key_of, locked, sign_recorded, statement_result, unsigned_analyses
+from planrunner.tasks.estimate import stored_results
 from planrunner.tasks.prove import prove
-from planrunner.tasks.run import stored_results
 
 
 def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: str = "") -> RunSignature:

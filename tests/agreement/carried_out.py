@@ -14,6 +14,7 @@ from planrunner.cli.outcome import code_of
 from planrunner.execution.stopping import StopRequest
 from planrunner.tasks import run as running
 from planrunner.tasks.check import Sound, check_plan
+from planrunner.tasks.estimate import analyse_run
 
 from .written_plans import Plan
 
@@ -65,6 +66,6 @@ def _run(sound: Sound, runs: Path) -> tuple[int, str, bool]:
         return 2, str(error), False
     if not outcome.ok:
         return 3, "; ".join(map(str, outcome.failures)) or "; ".join(outcome.unsafe), False
-    results = running.analyse_run(folder).results
+    results = analyse_run(folder).results
     told = "; ".join(f"{name}: {text}" for name, text in results.failures.items())
     return code_of(results), told, bool(results.unfit)

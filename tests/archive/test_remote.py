@@ -19,6 +19,7 @@ from planrunner.base.findings import InputError
 from planrunner.execution.stopping import StopRequest
 from planrunner.tasks import run as running
 from planrunner.tasks.check import Document, check_plan
+from planrunner.tasks.estimate import analyse_run
 from tests.conftest import ROOT
 from tests.in_process import planrunner
 
@@ -38,7 +39,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for seed in range(_RUNS):
         run, outcome = running.start(sound, info={}, runs=folder, stop=StopRequest(), durability="flushed", seed=seed)
         assert outcome.ok
-        running.analyse_run(run)
+        analyse_run(run)
     return folder
 
 
@@ -107,7 +108,7 @@ def test_a_second_push_writes_only_what_is_new(bucket: Any, runs: Path, tmp_path
     first = push_run(run, _URL)
     assert first.written == len(contents(run)) and first.present == 0
     assert push_run(run, _URL) == Pushed(0, first.written)
-    running.analyse_run(run)
+    analyse_run(run)
     added = len(contents(run)) - first.written
     assert added and push_run(run, _URL) == Pushed(added, first.written)
 
@@ -258,7 +259,7 @@ def test_histories_studies_and_sites_of_a_remote_archive_are_those_of_the_folder
             sound, info=info, runs=local, stop=StopRequest(), durability="flushed", seed=number
         )
         assert outcome.ok
-        running.analyse_run(run)
+        analyse_run(run)
         push_run(run, _URL)
     first, second = sorted(local.iterdir())[:2]
     same: list[tuple[str, ...]] = [

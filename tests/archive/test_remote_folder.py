@@ -20,6 +20,7 @@ from planrunner.base.findings import InputError
 from planrunner.execution.stopping import StopRequest
 from planrunner.tasks import run as running
 from planrunner.tasks.check import check_plan
+from planrunner.tasks.estimate import analyse_run
 from tests.conftest import ROOT
 
 fsspec = pytest.importorskip("fsspec")
@@ -34,7 +35,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sound = check_plan(_PLAN).sound()
     run, outcome = running.start(sound, info={}, runs=folder, stop=StopRequest(), durability="flushed", seed=1)
     assert outcome.ok
-    running.analyse_run(run)
+    analyse_run(run)
     return run
 
 
@@ -116,7 +117,7 @@ def test_a_command_keeps_its_copy_until_it_ends(made: Path, archive: Path, monke
 def test_an_analysis_that_is_gone_is_not_written_in_silence(made: Path, archive: Path) -> None:
     push_run(made, f"file://{archive}")
     copy = fetched(f"file://{archive}/{made.name}")
-    analysis = running.analyse_run(copy)
+    analysis = analyse_run(copy)
     push_back(copy, analysis.folder)
     assert (archive / made.name / "analyses" / analysis.folder.name / "results.json").exists()
     shutil.rmtree(analysis.folder)

@@ -26,6 +26,7 @@ from planrunner.signing.keys import PrivateKey, write_unencrypted
 from planrunner.tasks import run as running
 from planrunner.tasks.check import check_plan
 from planrunner.tasks.design import design
+from planrunner.tasks.estimate import evaluate_run
 from tests.conftest import ROOT
 from tests.dask_cluster import Cluster, dask_cluster
 from tests.in_process import planrunner
@@ -184,7 +185,7 @@ def test_draws_of_one_run_and_searches_find_the_same_digits_though_workers_are_l
     assert outcome.ok
 
     def draws(workers: Workers) -> object:
-        results = running.evaluate_run(run, workers=workers).results.to_json()
+        results = evaluate_run(run, workers=workers).results.to_json()
         assert "250000" in json.dumps(results)
         return results
 

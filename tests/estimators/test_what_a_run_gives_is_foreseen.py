@@ -9,7 +9,8 @@ import pytest
 from planrunner.estimators.interface import Estimate
 from planrunner.execution.stopping import StopRequest
 from planrunner.tasks.check import Checked, check_plan
-from planrunner.tasks.run import analyse_run, start
+from planrunner.tasks.estimate import analyse_run
+from planrunner.tasks.run import start
 
 PLANS = Path(__file__).parents[2] / "plans"
 RATES = """\

@@ -30,6 +30,7 @@ IMPORTED = (
     "planrunner.cli.resume",
     "planrunner.cli.run",
     "planrunner.reporting.terminal",
+    "planrunner.tasks.estimate",
     "planrunner.tasks.run",
 )
 

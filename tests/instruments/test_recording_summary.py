@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planrunner.archive.run_reader import RunReader
-from planrunner.tasks.run import sound_run
+from planrunner.tasks.estimate import sound_run
 from tests.in_process import planrunner
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "published_table"

@@ -14,8 +14,8 @@ from planrunner.estimators.analysis import analyse
 from planrunner.execution.stopping import StopRequest
 from planrunner.reporting.view import render_report
 from planrunner.tasks.check import check_plan
-from planrunner.tasks.report import report_context
-from planrunner.tasks.run import sound_run, start
+from planrunner.tasks.estimate import report_context, sound_run
+from planrunner.tasks.run import start
 
 PLAN = """
 planrunner: 1

@@ -38,6 +38,7 @@ from planrunner.signing.keys import PrivateKey, write_private
 from planrunner.tasks import run as running
 from planrunner.tasks.approve import approve, prepare, withdraw
 from planrunner.tasks.check import Checked, Document, check_plan
+from planrunner.tasks.estimate import analyse_run
 from planrunner.tasks.simulate import simulation
 from planrunner.tasks.verify import verify_run
 from tests.in_process import planrunner
@@ -438,7 +439,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     approve(prepare(plan, foresee=False), ANNA, "<script>alert(1)</script>")
     approve(prepare(plan, until=_days(30), foresee=False), BEN, "../../Ben {{ 7*7 }} |x| `y`")
     run = ran(plan, plan.parent / "runs")
-    running.analyse_run(run)
+    analyse_run(run)
     return plan.parent
 
 
@@ -618,7 +619,7 @@ def test_approvals_in_a_run_that_needed_none_are_found(lab: Path, tmp_path: Path
 
 def test_a_certificate_prints_the_approvals(lab: Path, tmp_path: Path) -> None:
     from planrunner.tasks.certify import facts
-    from planrunner.tasks.run import sound_run
+    from planrunner.tasks.estimate import sound_run
 
     reader = RunReader.open(run_of(lab, tmp_path))
     shown = facts(reader, sound_run(reader), (), {})

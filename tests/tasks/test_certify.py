@@ -18,7 +18,8 @@ from planrunner.execution.stopping import StopRequest
 from planrunner.reporting.certificate_requirements import ASKED
 from planrunner.tasks.certify import ISSUED
 from planrunner.tasks.check import check_plan
-from planrunner.tasks.run import Analysis, Issue, analyse_run, report_through, start
+from planrunner.tasks.estimate import Analysis, Issue, analyse_run, report_through
+from planrunner.tasks.run import start
 from tests.conftest import FLAGSHIP, ROOT
 
 Write = Callable[..., Path]

@@ -56,7 +56,7 @@ def test_a_run_checks_its_plan_once(plan_file: Write, tmp_path: Path, monkeypatc
     def again(*given: object) -> Checked:
         raise AssertionError("checked again")
 
-    monkeypatch.setattr("planrunner.tasks.run.check_plan", again)
+    monkeypatch.setattr("planrunner.tasks.estimate.check_plan", again)
     settings = ["--set", "device_serial=1", "--set", "operator=demo", "--quiet"]
     assert main(["run", str(plan_file()), *settings, "--runs", str(tmp_path)]) == 0
     (folder,) = (path for path in tmp_path.iterdir() if (path / "run.json").exists())

@@ -156,7 +156,7 @@ def test_runs_that_cannot_be_read_are_left_out_with_skip(
 ) -> None:
     """The samples of the first run were changed, and its plan was replaced in a second copy; the third copy is no run folder, in the fourth
     a file is a link, and the check of the fifth refuses its plan."""
-    from planrunner.tasks import run as tasks_run
+    from planrunner.tasks import estimate
 
     samples, plan, empty, link, refused = (tmp_path / name for name in ("samples", "plan", "empty", "link", "refused"))
     for copy in (samples, plan, link, refused):
@@ -169,14 +169,14 @@ def test_runs_that_cannot_be_read_are_left_out_with_skip(
     empty.mkdir()
     (link / "plan.yaml").rename(tmp_path / "elsewhere.yaml")
     (link / "plan.yaml").symlink_to(tmp_path / "elsewhere.yaml")
-    sound_run = tasks_run.sound_run
+    sound_run = estimate.sound_run
 
     def checked(reader: RunReader, *words: Any) -> Any:
         if reader.path.name == "refused":
             raise InputError.at(Mark("plan.yaml"), "plan-refused", "it no longer passes")
         return sound_run(reader, *words)
 
-    monkeypatch.setattr(tasks_run, "sound_run", checked)
+    monkeypatch.setattr(estimate, "sound_run", checked)
     bad = [samples, plan, empty, link, refused]
     found = diagnose_fleet([*bad, *runs[1:3]], workers=ALONE, skip=True)
     assert [one.run for one in found.origins] == runs[1:3]

@@ -16,8 +16,8 @@ from planrunner.archive.provenance import computed_with
 from planrunner.base.findings import InputError
 from planrunner.cli import main
 from planrunner.tasks.amendment import Amendment
+from planrunner.tasks.estimate import analyse_run
 from planrunner.tasks.prove import TOLERANCE, prove
-from planrunner.tasks.run import analyse_run
 from planrunner.tasks.verify import verify_run
 
 ROOT = Path(__file__).parents[2]

@@ -12,8 +12,8 @@ import pytest
 from planrunner.cli import main
 from planrunner.reporting.review_page import render_review
 from planrunner.tasks.amendment import Amendment
+from planrunner.tasks.estimate import analyse_run
 from planrunner.tasks.review_run import review_of
-from planrunner.tasks.run import analyse_run
 
 ROOT = Path(__file__).parents[2]
 FLAGSHIP = ROOT / "plans" / "flexure_gyro_eight_position.yaml"
