@@ -242,28 +242,36 @@ def _clipped(observed: Observed, shape: float, limits: tuple[float, float]) -> V
         noise -= noise.mean(axis=1, keepdims=True)
         reach = float(np.abs(noise).max(initial=0.0))
     lower, upper = limits
+    at_upper = [_mean_of_smaller(own) for own in noise]
+    at_lower = [_mean_of_smaller(-own[::-1]) for own in noise]
 
     def output(nominal: Array) -> Array:
         out = nominal.copy()
-        for place, own in enumerate(noise):
-            out[:, place] += _mean_of_smaller(own, upper - nominal[:, place])
-            out[:, place] -= _mean_of_smaller(-own[::-1], nominal[:, place] - lower)
+        for place, own in enumerate(nominal.T):
+            if own.max(initial=0.0) > upper - reach:
+                out[:, place] += at_upper[place](upper - own)
+            if own.min(initial=0.0) < lower + reach:
+                out[:, place] -= at_lower[place](own - lower)
         return out
 
     acting = (observed.gyro_range[:, 1] > upper - reach) | (observed.gyro_range[:, 0] < lower + reach)
     return _changed(observed, output, shape, acting)
 
 
-def _mean_of_smaller(noise: Array, distance: Array) -> Array:
-    """Returns the mean of min(n, d) over the noise n for each distance d (N,). `noise`: array of shape (Q,), sorted values with the
-    mean 0."""
-    found = np.minimum(distance, 0.0)
-    near = np.flatnonzero((distance > noise[0]) & (distance < noise[-1]))
-    if len(near):
-        below = np.arange(1, len(noise) + 1)
-        means = (np.cumsum(noise) + (len(noise) - below) * noise) / len(noise)
-        found[near] = np.interp(distance[near], noise, means)
-    return np.asarray(found)
+def _mean_of_smaller(noise: Array) -> Callable[[Array], Array]:
+    """Returns a function that computes the mean of min(n, d) over the noise n for each distance d (N,). `noise`: array of shape (Q,),
+    sorted values with the mean 0."""
+    below = np.arange(1, len(noise) + 1)
+    means = (np.cumsum(noise) + (len(noise) - below) * noise) / len(noise)
+
+    def mean(distance: Array) -> Array:
+        found = np.minimum(distance, 0.0)
+        near = np.flatnonzero((distance > noise[0]) & (distance < noise[-1]))
+        if len(near):
+            found[near] = np.interp(distance[near], noise, means)
+        return np.asarray(found)
+
+    return mean
 
 
 def _changed(

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,17 +88,17 @@ class Spectrum:
     def project(self, observed: Observed, columns: Array, acting: NDArray[np.bool_] | None = None) -> Array:
         """Computes the coefficients of columns of samples. Columns of shape (N, P) give coefficients of shape (M, P). `acting`:
         array of shape (S,), True for the segments to compute; by default all."""
-        made, roots = [], _roots(observed)
+        roots = _roots(observed)
         if acting is None or acting.all():
             made = [
                 (vectors @ columns[part].reshape(-1, vectors.shape[-1], columns.shape[1])).reshape(-1, columns.shape[1])
                 for vectors, part in self.runs
             ]
+            coefficients = np.concatenate(made)
         else:
-            for basis, part, acts in zip(self.bases, observed.segments(), acting, strict=True):
-                vectors = basis.vectors.T
-                made.append(vectors @ columns[part] if acts else np.zeros((len(vectors), columns.shape[1])))
-        coefficients = np.concatenate(made)
+            coefficients, parts = np.zeros((len(self.segment), columns.shape[1])), observed.segments()
+            for index in np.flatnonzero(acting).tolist():
+                np.matmul(self.bases[index].vectors.T, columns[parts[index]], out=coefficients[self.rows[index]])
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
     def outside(self, observed: Observed, columns: Array) -> Array:
@@ -107,6 +107,12 @@ class Spectrum:
         for basis, part in zip(self.bases, observed.segments(), strict=True):
             out[part] -= basis.removed @ (basis.removed.T @ out[part])
         return out
+
+    @cached_property
+    def rows(self) -> list[slice]:
+        """Returns, for each segment, the slice of its coefficients."""
+        ends = np.cumsum([0, *(basis.vectors.shape[1] for basis in self.bases)]).tolist()
+        return [slice(*one) for one in pairwise(ends)]
 
     @cached_property
     def runs(self) -> list[tuple[Array, slice]]:

@@ -46,6 +46,9 @@ _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justi
 WORSE = float(np.log(100.0))  # a more exact form is rejected if it is less likely by more than this
 _STILL = 0.1  # standard deviations of the noise by which an effect, or the sum of the secants, may still change
 
+_WIDTHS = (30.0, 10.0, 3.0, 1.0)
+"""Steps of the differences that replace derivatives in the first iterations, in standard uncertainties of the output."""
+
 
 def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candidate]:
     """Evaluates each effect with every shape on its grid. The grid is refined where the evidence is sharp."""
@@ -173,13 +176,16 @@ def _resettled(
     return usable, log_bayes
 
 
-def _together(weighing: Weighing, effect: Shaped, best: Weighed, values: Sequence[Array] | None) -> list[Array]:
+def _together(
+    weighing: Weighing, effect: Shaped, best: Weighed, values: Sequence[Array] | None, widths: Sequence[float] = _WIDTHS
+) -> list[Array]:
     """Returns the nominal parameters, fitted together with an effect of amplitude 1. `best`: the form of the effect. `values`:
-    nominal parameters at which the fit may start; None if no such parameters are known."""
+    nominal parameters at which the fit may start; None if no such parameters are known. `widths`: the same as in `settled`."""
     acting, taken = on_output(effect), [raw[:, 0] for raw in best.raw]
     if acting is None or values is None:
         values = weighing.nominal_values(taken)
-    return list(values) if acting is None else settled(weighing, acting, float(best.variant.shape or 0.0), values)
+    shape = float(best.variant.shape or 0.0)
+    return list(values) if acting is None else settled(weighing, acting, shape, values, widths=widths)
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed]) -> tuple[tuple[Weighed, float], ...]:
@@ -234,9 +240,11 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
 _STEPS = 20
 _STEPS_BESIDE = 3  # steps beside other effects, whose amplitudes are fitted again before the next steps
 _ROUNDS = 15
+_NEAR = 0.01  # change of the logarithm of a shape below which the nominal parameters of the preceding shape are nearly right
 _SAME = 0.05  # standard deviations by which two shapes may differ and count as the same
 _DROP = 0.5  # nats below the best: one standard deviation
 _TOLD = 1.0  # nats that an effect of any shape must explain beyond none
+_CLOSER = 16  # times by which a parabola narrows the search for a shape
 _SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
 
 
@@ -285,7 +293,8 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
     shape, last, acting = float(best.variant.shape or 0.0), np.nan, on_output(effect)
     visited: list[tuple[float, _Found]] = []
     for _ in range(_STEPS if near is None else _STEPS_BESIDE):
-        values = _together(weighing, effect, best, values)
+        settles = abs(np.log(shape / last)) < _NEAR
+        values = _together(weighing, effect, best, values, _WIDTHS[-2:] if settles else _WIDTHS)
         seen, before, last = weighing.seen(values), last, shape
         along = weighing if acting is None else moving(weighing, acting, shape, values, columns)
         shape, sigma = _most_probable(along, effect, seen, last)
@@ -402,9 +411,11 @@ def _evidence(weighing: Weighing, form: Weighed) -> float:
 def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: float) -> tuple[float, float]:
     """Returns the most probable shape and the standard deviation of its logarithm. The search starts on the grid and continues
     beyond it if the best shape is at an edge. Then the search adds shapes between the best shape and its neighbours, until the
-    neighbours are within one standard deviation. For a shape that the data barely constrain, the standard deviation is limited by
-    the width of the grid. `near`: a shape near which the search starts, NaN if none is known."""
+    neighbours are within one standard deviation. These shapes are near the peak of the parabola through the three best shapes. If
+    this does not narrow the search enough, they are equally spaced. For a shape that the data barely constrain, the standard
+    deviation is limited by the width of the grid. `near`: a shape near which the search starts, NaN if none is known."""
     known: dict[float, float] = {}
+    width = np.inf
     new = np.log(effect.grid(seen))
     widest = float(np.ptp(new)) / (2 * _SPAN)
     if np.isfinite(near):
@@ -422,17 +433,29 @@ def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: flo
             continue
         if np.ptp(evidence[top - 1 : top + 2]) < _DROP:
             break
-        new = np.concatenate([np.linspace(place[i], place[i + 1], 5)[1:-1] for i in (top - 1, top)])
-    top = int(np.clip(top, 1, len(place) - 2))
-    bend, slope, _ = np.polyfit(place[top - 1 : top + 2] - place[top], evidence[top - 1 : top + 2] - evidence[top], 2)
+        below, middle, above = place[top - 1 : top + 2]
+        before, width = width, above - below
+        peak, sigma = _parabola(place, evidence, top)
+        step = max(width / _CLOSER, sigma) / 2
+        if below < peak - step and peak + step < above and width < before / 3:
+            new = peak + step * np.array([-1, 0, 1])
+        else:
+            new = np.concatenate([np.linspace(a, b, 5)[1:-1] for a, b in ((below, middle), (middle, above))])
+    peak, sigma = _parabola(place, evidence, int(np.clip(top, 1, len(place) - 2)))
+    return float(np.exp(peak)), min(sigma, widest)
+
+
+def _parabola(place: Array, evidence: Array, top: int) -> tuple[float, float]:
+    """Returns the peak and the standard deviation of a density whose logarithm is a parabola through three points. `place`,
+    `evidence`: coordinates of all points. `top`: index of the middle one of the three."""
+    near = slice(top - 1, top + 2)
+    bend, slope, _ = np.polyfit(place[near] - place[top], evidence[near] - evidence[top], 2)
     reach = float(place[top + 1] - place[top - 1])
-    sigma = float(1 / np.sqrt(-2 * bend)) if bend < 0 else reach
-    best = float(np.clip(-slope / (2 * bend), -reach, reach)) if bend < 0 else 0.0
-    return float(np.exp(place[top] + best)), min(sigma, widest)
+    if bend >= 0:
+        return float(place[top]), reach
+    return float(place[top] + np.clip(-slope / (2 * bend), -reach, reach)), float(1 / np.sqrt(-2 * bend))
 
 
-_WIDTHS = (30.0, 10.0, 3.0, 1.0)
-"""Steps of the differences that replace derivatives in the first iterations, in standard uncertainties of the output."""
 _FITS = 9  # iterations of Gauss–Newton
 _ROUNDING = 1e-6
 """If the output changes by less than this fraction of a change of the nominal output, it counts as constant. Smaller changes are
@@ -490,20 +513,26 @@ def moving(
 
 
 def settled(
-    weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], amplitude: float = 1.0
+    weighing: Weighing,
+    effect: Shaped,
+    shape: float,
+    values: Sequence[Array],
+    amplitude: float = 1.0,
+    widths: Sequence[float] = _WIDTHS,
 ) -> list[Array]:
     """Fits the nominal parameters together with an effect on the output. Returns the values of the parameters of each channel.
 
     `values`: values of the nominal parameters at which the fit starts. Repeated fits to the data minus the effect would converge
     slowly: in segments with a limited output, these data follow the scale factor of the preceding fit. Therefore, the fit includes
-    the change of the effect with the parameters (Gauss–Newton). The first derivatives are differences over wide steps: within a
-    dead zone, the output is zero, and the exact derivative would not show how to leave the dead zone.
+    the change of the effect with the parameters (Gauss–Newton). The first derivatives are differences over wide steps (`widths`, in
+    standard uncertainties of the output): within a dead zone, the output is zero, and the exact derivative would not show how to
+    leave the dead zone.
     """
     found, steps, change = list(values), _steps(weighing), list[Array]()
     for number in range(_FITS):
-        seen = weighing.seen(found)
-        if number < len(_WIDTHS):
-            change = _changes(weighing, effect, shape, seen, amplitude, _WIDTHS[number] * steps)
+        seen = replace(weighing.observed, fitted=weighing.output_at(found))
+        if number < len(widths):
+            change = _changes(weighing, effect, shape, seen, amplitude, widths[number] * steps)
         caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(seen, shape).columns)
         fixed = [raw.sum(axis=1) * amplitude - own @ at for raw, own, at in zip(caused, change, found, strict=True)]
         before, found = found, weighing.nominal_values(fixed, change)
@@ -511,7 +540,7 @@ def settled(
             own[0].whiten(whole @ (new - old)[:, None])
             for own, whole, new, old in zip(weighing.weights, weighing.whole, found, before, strict=True)
         ]
-        if number >= len(_WIDTHS) - 1 and max(float((part**2).sum()) for part in moved) < _STILL**2:
+        if number >= len(widths) - 1 and max(float((part**2).sum()) for part in moved) < _STILL**2:
             break
     return found
 
@@ -526,7 +555,8 @@ def _changes(
     change = [np.zeros_like(whole) for whole in weighing.whole]
     for channel, slope in _slopes(effect, shape, seen, step).items():
         samples = slope[:, None] * weighing.samples_of(channel)
-        change[channel] = weighing.spectrum.project(weighing.observed, samples) * amplitude
+        acting = np.logical_or.reduceat(slope != 0, weighing.observed.bounds[:-1])
+        change[channel] = weighing.spectrum.project(weighing.observed, samples, acting) * amplitude
     return change
 
 
