@@ -302,9 +302,10 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
         visited.append((_evidence(weighing, best), _Found(seen, along, shape, sigma)))
         if abs(np.log(shape / last)) < _SAME * sigma:
             return visited[-1][1]
+        visited = [max(visited, key=lambda one: one[0])]  # each contains the outputs of a nominal model
         if abs(np.log(shape / before)) < _SAME * sigma:
             break
-    return max(visited, key=lambda one: one[0])[1]
+    return visited[0][1]
 
 
 def _start(weighing: Weighing, effect: Shaped) -> tuple[Weighed, Sequence[Array] | None]:
