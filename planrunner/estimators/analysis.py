@@ -2,8 +2,8 @@
 
 If one estimate fails, the results contain a message about the failure, and the other estimates are still made.
 
-Each estimate also gets two kinds of warnings: about missing samples, and about counts that are so coarse compared with the noise
-that rounding errors do not average out.
+Each estimate also gets three kinds of warnings: about missing samples; about counts that are so coarse compared with the noise
+that rounding errors do not average out; and about a thermometer whose readings contradict the plan.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from planrunner.base.processes import ClusterError, ProcessEndedError
 from planrunner.base.progress import Announce
 from planrunner.base.said import Said, said
 from planrunner.base.workers import ALONE, Workers
+from planrunner.estimators.declared_temperatures import thermometer_words
 from planrunner.estimators.foresight import detection_of, patterns_of
 from planrunner.estimators.interface import (
     Estimate,
@@ -158,7 +159,8 @@ def _estimate(
         how = spec.validate if isinstance(spec.validate, MonteCarloSpec) else USUAL
         estimate = validated(estimate, draws, how, not chained, workers)
     rounded = coarse_counts(counted, channels_of(spec.parameters), sensor)
-    return replace(estimate, warnings=(*estimate.warnings, *rounded, *lost_samples(chosen, sensor.sample_rate)))
+    further = (*rounded, *lost_samples(chosen, sensor.sample_rate), *thermometer_words(chosen, spec.parameters))
+    return replace(estimate, warnings=(*estimate.warnings, *further))
 
 
 _RESTS_ON = {

@@ -1,0 +1,187 @@
+"""Checks whether a recorded thermometer reads what the bench file and the plan declare: detects wrong units, reversed and unscaled
+readings, and single readings that no temperature can cause.
+
+No estimator can find such a fault in its own data: a temperature coefficient is found from any reading. A sensor may be warmer than
+its surroundings, or kept at one temperature by an oven. Therefore, only these readings contradict the declarations:
+
+- readings outside `POSSIBLE`;
+- readings that differ from the planned temperature by more than `FARTHEST`;
+- readings that change more than the planned temperature does, or in the opposite direction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
+from planrunner.base.dataclass import dataclass
+from planrunner.base.said import Said, said
+from planrunner.estimators.declared_axes import LARGEST_DEVIATION
+from planrunner.observation.drift import thermometer_of
+from planrunner.observation.refusals import EstimationError
+from planrunner.plan.kinds import Record
+from planrunner.plan.units import ZERO_CELSIUS, Unit, unit
+
+POSSIBLE = (-200.0, 250.0)
+"""Temperatures, degC, at which inertial sensors are operated: from liquid nitrogen to deep boreholes."""
+FARTHEST = 150.0
+"""Largest difference, K, between the temperature of a sensor and the planned temperature: an oven of 85 degC in a chamber at -55
+degC makes a difference of 140 K."""
+NEAR = 60.0
+"""Largest difference, K, from the planned temperature at which the readings agree with another unit than the declared one."""
+LEAST_CHANGE = 25.0
+"""Smallest change of the planned temperature, K, with which the change of the readings is compared. A smaller change may be hidden
+by the heat of the sensor itself."""
+_UNITS = ("degC", "K", "degF")
+
+
+@runtime_checkable
+class NamesThermometer(Protocol):
+    """Keys of an estimator that uses a thermometer. `temperature_channel`: the thermometer; None for the only one that is recorded."""
+
+    temperature_channel: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class ThermometerReadings:
+    """Contains the readings of one thermometer in n segments, in its declared unit `unit`.
+
+    `labels`: labels of the segments. `mean`, `lowest`, `highest`: arrays of shape (n,). `planned`: array of shape (n,), temperatures
+    that the plan states, degC; NaN if a segment states none or ramps.
+    """
+
+    channel: str
+    unit: Unit
+    labels: tuple[str, ...]
+    mean: Array
+    lowest: Array
+    highest: Array
+    planned: Array
+
+    def celsius(self, values: Array, own: Unit) -> Array:
+        """Returns values of the recording in degC if their unit is `own`."""
+        return np.asarray(values * own.factor + own.offset - ZERO_CELSIUS)
+
+    def possible(self, own: Unit) -> bool:
+        """Returns True if all readings are possible temperatures in the unit `own`."""
+        low, high = self.celsius(self.lowest, own), self.celsius(self.highest, own)
+        return not (np.any(low < POSSIBLE[0]) or np.any(high > POSSIBLE[1]))
+
+    def usual(self, own: Unit) -> bool:
+        """Returns True if the means of most segments are possible temperatures that agree with the plan in the unit `own`."""
+        means = self.celsius(self.mean, own)
+        away = np.nan_to_num(np.abs(means - self.planned))
+        wrong = (means < POSSIBLE[0]) | (means > POSSIBLE[1]) | (away > FARTHEST)
+        return not (np.mean(wrong) > 0.5 or _contradicts(self.slope(own)))
+
+    def slope(self, own: Unit) -> float:
+        """Returns the change of the readings divided by the change of the planned temperature; NaN if the planned temperature
+        changes by less than `LEAST_CHANGE`."""
+        known = np.isfinite(self.planned) & np.isfinite(self.mean)
+        if not known.any() or np.ptp(self.planned[known]) < LEAST_CHANGE:
+            return float("nan")
+        away = self.planned[known] - self.planned[known].mean()
+        return float(away @ self.celsius(self.mean[known], own) / (away @ away))
+
+    def credible(self, own: Unit) -> bool:
+        """Returns True if the readings contradict neither the plan nor the temperatures at which sensors are operated."""
+        return self.possible(own) and self.usual(own)
+
+    def explains(self, own: Unit) -> bool:
+        """Returns True if readings in the unit `own` agree with the plan. A unit with another size of the degree is confirmed only
+        by a change of the planned temperature."""
+        away, slope = np.abs(self.celsius(self.mean, own) - self.planned), self.slope(own)
+        if not self.credible(own) or np.any(away > NEAR):
+            return False
+        return abs(slope - 1) <= LARGEST_DEVIATION or (np.isnan(slope) and own.factor == self.unit.factor)
+
+
+def thermometer_words(segments: Sequence[RecordedSegment], parameters: Record) -> tuple[Said, ...]:
+    """Returns warnings about the thermometer that an estimate uses. `parameters`: the values of the estimator's keys. The result is
+    empty if the estimator uses no thermometer."""
+    if not isinstance(parameters, NamesThermometer) or not segments:
+        return ()
+    shared = set.intersection(*(set(one.statistics.channels) for one in segments))
+    units = {name: text for name, text in segments[0].units.items() if name in shared}
+    try:
+        channel = thermometer_of(units, parameters.temperature_channel, True)
+    except EstimationError:  # the estimator names this fault
+        return ()
+    if channel is None or len({one.units[channel] for one in segments}) > 1:
+        return ()
+    return contradictions(_readings(segments, channel, unit(units[channel])))
+
+
+def _readings(segments: Sequence[RecordedSegment], channel: str, own: Unit) -> ThermometerReadings:
+    columns = []
+    for one in segments:
+        place, planned = one.statistics.of(channel), one.segment.temperature
+        stated = np.nan if planned is None else planned - ZERO_CELSIUS
+        found = one.statistics
+        columns.append((found.mean[place], found.minimum[place], found.maximum[place], stated))
+    mean, lowest, highest, stated = np.array(columns, dtype=float).T
+    return ThermometerReadings(channel, own, tuple(one.label for one in segments), mean, lowest, highest, stated)
+
+
+def contradictions(found: ThermometerReadings) -> tuple[Said, ...]:
+    """Returns a warning if the readings contradict the declarations. If the readings agree with another unit, the warning names this
+    unit."""
+    if found.credible(found.unit):
+        return ()
+    if not found.usual(found.unit):
+        for other in map(unit, _UNITS):
+            if found.explains(other):
+                return (
+                    said(
+                        "{channel} is declared in {declared}, but its samples agree with {other}. Correct its unit in the bench file. "
+                        "Coefficients that are computed from its readings are wrong.",
+                        channel=found.channel,
+                        declared=found.unit.text,
+                        other=other.text,
+                    ),
+                )
+    if not found.possible(found.unit):
+        low, high = found.celsius(found.lowest, found.unit), found.celsius(found.highest, found.unit)
+        worst = int(np.argmax(np.maximum(POSSIBLE[0] - low, high - POSSIBLE[1])))
+        return (
+            said(
+                "{channel} reads {low:.4g} to {high:.4g} degC in '{segment}'. No sensor has such a temperature: its unit or its "
+                "conversion from counts in the bench file is wrong, or some samples are bad. Coefficients that are "
+                "computed from its readings are wrong.",
+                channel=found.channel,
+                low=float(low[worst]),
+                high=float(high[worst]),
+                segment=found.labels[worst],
+            ),
+        )
+    slope = found.slope(found.unit)
+    if _contradicts(slope):
+        return (
+            said(
+                "{channel} changes by {slope:.3g} K for each kelvin by which the planned temperature changes: its unit, its sign or its "
+                "conversion from counts in the bench file is wrong, or the temperatures of segments are exchanged. Coefficients that are "
+                "computed from its readings are wrong.",
+                channel=found.channel,
+                slope=slope,
+            ),
+        )
+    away = float(np.nanmedian(found.celsius(found.mean, found.unit) - found.planned))
+    return (
+        said(
+            "{channel} differs from the planned temperatures by {away:.3g} K: its unit or its conversion from counts in the bench file is "
+            "wrong. "
+            "Coefficients that are computed from its readings are wrong.",
+            channel=found.channel,
+            away=away,
+        ),
+    )
+
+
+def _contradicts(slope: float) -> bool:
+    """Returns True if the readings change more than the planned temperature, or in the opposite direction. An oven keeps the readings
+    constant, and an incomplete soak makes their change smaller."""
+    return slope > 1 + LARGEST_DEVIATION or slope < -LARGEST_DEVIATION
