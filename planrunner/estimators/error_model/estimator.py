@@ -11,6 +11,7 @@ An output may be recorded in another unit than a rate or an acceleration, for ex
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
@@ -69,6 +70,8 @@ from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, unit
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
+DILUTION = "noise of the recorded motion"
+"""Name of the influence of the noise of the channels that show a recorded motion, in budgets."""
 WITHIN = "within segments"
 """Label of the contrasts within segments, which are fitted together with the means of the segments. A contrast is a weighted sum of
 the differences between samples and the mean of their segment (see `within`)."""
@@ -77,12 +80,14 @@ the differences between samples and the mean of their segment (see `within`)."""
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedOutput:
     """The fit of one output. `observations`: the observations of this output. `site`: the influences of the uncertain latitude and
-    gravity, and of the meters for supply and pressure, on these observations."""
+    gravity, and of the meters for supply and pressure, on these observations. `dilution`: the influence of the noise of the channels
+    that show a recorded motion; empty if there are none."""
 
     model: ModelledOutput
     observations: Observations
     fit: OutputsFit
     site: tuple[CorrelatedError, ...]
+    dilution: tuple[CorrelatedError, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -222,7 +227,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
             warnings += judged.warnings
         warnings += _contradictions(request, made.outputs)
         warnings += _reversed_meters(request)
-        warnings += [text for one in made.outputs for text in _of_samples(one)]
+        warnings += [text for one in made.outputs for text in (*_of_samples(one), *_diluted(one, basis))]
         warnings += _disagreement(request, made)
         every = len(made.outputs)
         shared = [
@@ -427,8 +432,34 @@ def _fitted(
             _matrix(one), left, one.columns.magnitudes, one.names, basis, effects=effects, drift=own, unstated=silent
         )
         require_basis(fit, basis, f"{request.name}, {one.name}")
-        found.append(FittedOutput(one, whole, fit, tuple(_extended(e, contrasts) for e in _of_output(site, k))))
+        acting_here = tuple(_extended(e, contrasts) for e in _of_output(site, k))
+        found.append(FittedOutput(one, whole, fit, acting_here, _of_reference(one, group.outputs)))
     return found
+
+
+def _of_reference(one: ModelledOutput, outputs: Sequence[ModelledOutput]) -> tuple[CorrelatedError, ...]:
+    """Returns the error that the noise of the channels that show a recorded motion causes in the response of an output. This noise
+    makes a fitted response too small, by a fraction between zero and an upper limit (`WithinFit.dilution`). Outputs of the same
+    kind whose scale factors are fitted share the channels; the largest of their limits also applies to the other outputs."""
+    if one.within is None or not one.within.dilution:
+        return ()
+    limits = [
+        other.within.dilution
+        for other in outputs
+        if other.within is not None and other.gain is not None and other.errors.kind == one.errors.kind
+    ]
+    most = min(one.within.dilution, max(limits, default=one.within.dilution))
+    quantity = InputQuantity(
+        DILUTION,
+        0.0,
+        "1",
+        most / math.sqrt(3),
+        distribution="rectangular",
+        source="residuals of the fit",
+        from_residuals=True,
+    )
+    rows = np.concatenate([np.zeros(len(one.within.mean)), -one.within.contrasts.moved])
+    return (CorrelatedError(quantity, {0: rows[:, None]}),)
 
 
 def _of_angle(one: ModelledOutput) -> list[CorrelatedError]:
@@ -569,7 +600,7 @@ def _stated(request: EstimateRequest[ErrorModelParameters], one: FittedOutput) -
     functionals = functionals_of(one.fit.gains)
     recorded = replace(request, segments=tuple(request.segments[row] for row in one.model.rows))
     return (
-        *(error.through(functionals) for error in one.site),
+        *(error.through(functionals) for error in (*one.site, *one.dilution)),
         *resolution_influences(recorded, [one.model.name], functionals),
         *one.fit.influences(request.parameters.uncertainty),
     )
@@ -677,6 +708,26 @@ def _as_added(outputs: Sequence[FittedOutput], common: CommonAmplitudes, found: 
 def _names(one: ModelledOutput, effect: str) -> bool:
     """Returns True if the model of an output contains an effect."""
     return any(part.effect.id == effect for part in one.errors.chosen)
+
+
+def _diluted(one: FittedOutput, basis: str) -> list[Said]:
+    """Returns a warning if the noise of the channels that show a recorded motion may change a coefficient by more than twice its
+    standard uncertainty without this noise."""
+    spreads = np.sqrt(np.diag(one.fit.covariance(basis)))
+    for error in one.dilution:
+        most = math.sqrt(3) * error.quantity.standard_uncertainty
+        moved = np.abs(functionals_of(one.fit.gains)[:, 0] @ error.changes[0][:, 0])
+        if np.any(moved * most > 2 * spreads):
+            return [
+                said(
+                    "{output}: the noise or the counts of the channels that show the motion may make the response of the output too small, "
+                    "by up to {share:.3g} % according to the residuals. The values are not corrected, but the uncertainties include this "
+                    "error. State a longer time in `averaging`, or use a reference with less noise or finer counts.",
+                    output=one.model.name,
+                    share=100 * most,
+                )
+            ]
+    return []
 
 
 def _of_samples(one: FittedOutput) -> list[Said]:

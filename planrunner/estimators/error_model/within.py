@@ -90,7 +90,8 @@ class Contrasts:
     `matrix`: array of shape (r, p), design matrix of the contrasts. `values`: array of shape (r,), the contrasts. `sigma`: array of
     shape (r,), standard deviations of the contrasts. `flicker`: array of shape (r, r), a matrix F with F·Fᵀ equal to the covariance
     of the contrasts due to flicker with the bias instability B = 1. `phase`: array of shape (r, k), change of the contrasts by each
-    of the k errors that an unknown angle of the table causes.
+    of the k errors that an unknown angle of the table causes. `moved`: array of shape (r,), the contrasts of the model's output in
+    the segments whose motion comes from the recording.
     """
 
     matrix: Array
@@ -98,6 +99,7 @@ class Contrasts:
     sigma: Array
     flicker: Array
     phase: Array
+    moved: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +113,9 @@ class WithinFit:
     amplitudes that it has for this output. `shapes`: maps each effect to the fitted value of its shape. `at_bound`: names of
     effects whose shape is at a bound of the catalogue's values. `coloured`: ratio of the variance of batch means to the variance
     that white noise explains; 1 if the noise is white. `uneven`: the largest of the ratios that `uneven_ratios` computes for the
-    contrasts; 1 if the contributions of the segments to each contrast agree. `moved_error`: array of shape (n,), standard error of
+    contrasts; 1 if the contributions of the segments to each contrast agree. `dilution`: ratio of the variance of the residuals to
+    the variance of the model's output within the segments whose motion comes from the recording; 0 without such segments.
+    `moved_error`: array of shape (n,), standard error of
     the mean of each segment whose motion comes from the recording, computed from the residuals of the fit; NaN for other segments.
     `phase`: array of shape (n, k), change of the means, in the output's unit, by each of the k errors that an unknown angle of the
     table causes.
@@ -130,6 +134,7 @@ class WithinFit:
     at_bound: tuple[str, ...] = ()
     coloured: float = 1.0
     uneven: float = 1.0
+    dilution: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -455,7 +460,9 @@ class _Problem:
         linear = (predicted if observed is None else observed) - predicted + at @ tangents
         offset = self.means(predicted - at @ tangents)
         columns = self.columns(values, amplitudes)
-        contrasts, uneven = self._contrasts(tangents, linear, linear - at @ tangents, coloured)
+        left = linear - at @ tangents
+        moved = np.where(output.observed.moved[self.owner], self.centred(predicted), 0.0)
+        contrasts, uneven = self._contrasts(tangents, linear, left, moved, coloured)
         return WithinFit(
             tuple(parts),
             self.means(tangents).T,
@@ -470,7 +477,23 @@ class _Problem:
             tuple(bounds),
             coloured,
             uneven,
+            self._dilution(moved, left),
         )
+
+    def _dilution(self, moved: Array, left: Array) -> float:
+        """Returns the largest relative change of the response to a recorded motion that the noise of the channels that show the
+        motion can cause. `moved`: array of shape (N,), the model's output due to the motion, minus its mean in each segment; zero in
+        other segments. `left`: array of shape (N,), residuals.
+
+        If the regressor x has noise of the variance v, a fitted response β is too small by β·v/var(x) (W. A. Fuller, Measurement
+        Error Models, 1987, section 1.1). The residuals contain β²·v and the noise of the output. Their variance divided by the
+        variance of β·x is therefore an upper limit of v/var(x).
+        """
+        squares = float(moved @ moved)
+        if not squares > 0:
+            return 0.0
+        rows = self.output.observed.moved[self.owner]
+        return min(float(np.sum(self.centred(left)[rows] ** 2)) / squares, 1.0)
 
     def _rescaled(self, amplitudes: Array, values: Sequence[float]) -> Array:
         """Converts amplitudes for a changed shape, so that their values in the display unit stay the same. The conversion is needed
@@ -478,11 +501,13 @@ class _Problem:
         factors = [one.factor for one in self.columns(values).amplitudes]
         return np.asarray(amplitudes * factors / np.array([one.factor for one in self._latest]))
 
-    def _contrasts(self, tangents: Array, values: Array, left: Array, coloured: float) -> tuple[Contrasts, float]:
+    def _contrasts(
+        self, tangents: Array, values: Array, left: Array, moved: Array, coloured: float
+    ) -> tuple[Contrasts, float]:
         """Returns the contrasts (see the description of this module), and the largest of the ratios that `uneven_ratios` computes.
         `tangents`: array of shape (p, N), derivatives of the output with respect to the amplitudes. `values`: array of shape (N,),
-        the samples. `left`: array of shape (N,), residuals. `coloured`: ratio of the variance of batch means to the variance that
-        white noise explains."""
+        the samples. `left`: array of shape (N,), residuals. `moved`: array of shape (N,), as in `_dilution`. `coloured`: ratio of
+        the variance of batch means to the variance that white noise explains."""
         weight = 1 / self.sigma[self.owner]
         centred = self.centred(tangents) * weight
         size = np.sqrt(np.sum(centred**2, axis=1))
@@ -512,6 +537,7 @@ class _Problem:
             unit * np.sqrt(np.maximum(coloured, uneven)),
             root * unit,
             functionals @ (self.centred(self._once_per_turn()) * weight).T * unit,
+            functionals @ (moved * weight) * unit,
         )
         return contrasts, float(uneven.max(initial=1.0))
 
