@@ -12,6 +12,9 @@ from planrunner.error_model.added import LASTING
 from planrunner.error_model.effects.held import sticking
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.apart import repeated, repeated_parameters
+from planrunner.gap.answer.comparison import compare
+from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
+from planrunner.plan.schedule import Rock
 from tests.gap.turntable import record
 
 SIGMA = 0.01
@@ -79,3 +82,34 @@ def test_the_errors_of_time_and_duration_of_a_stretch_are_those_stated(still: Ob
         away.append([(when.value - begin) / step, (duration.value - lasting) / step])
         stated = [when.standard_uncertainty / step, duration.standard_uncertainty / step]
     assert np.sqrt(np.mean(np.square(away), axis=0)) == pytest.approx(stated, rel=0.25)
+
+
+def _held(observed: Observed, segment: int, channel: int, share: float) -> Observed:
+    """The recording, in which a channel keeps one value for a share of a segment."""
+    values, part = observed.values.copy(), observed.segments()[segment]
+    first = part.start + (part.stop - part.start) // 10
+    values[first : first + int(share * (part.stop - part.start)), channel] = values[first, channel]
+    return replace(observed, values=values)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.8])
+def test_the_rest_of_a_segment_with_stuck_samples_is_no_other_cause(share: float) -> None:
+    """Few samples determine the coefficients of the segment poorly, and samples without noise do not make the others a burst."""
+    few = DiagnosisOptions(effects=("samples_stuck", "accel_bias_step", "mount_shift"))
+    found = diagnose(_held(record(seed=1), 4, 3, share), few)
+    assert found.verdict.effects == ("samples_stuck",)
+    assert not found.verdict.something_else
+    assert found.posterior.probability["samples_stuck"] > 0.5
+
+
+@pytest.mark.parametrize("share", [0.3, 0.8])
+def test_stuck_samples_are_left_out_of_simulations_as_well(share: float) -> None:
+    """Gyro z sticks while the table turns about z."""
+    few = DiagnosisOptions(effects=("samples_stuck", "accel_bias_step"))
+    turning = next(k for k, motion in enumerate(record(seed=1).motions) if isinstance(motion, Rock))
+    weighing = diagnose(_held(record(seed=1), turning, 2, share), few).grounds.weighing
+    nominal = DiagnosisOptions().nominal
+    made = compare(weighing, nominal, record(seed=2), _held(record(seed=3), turning, 2, share))
+    assert max(one.before_sigma for one in made.channels.values()) < 1.5
+    assert max(one.after_sigma for one in made.channels.values()) < 1.5
+    assert (weighing.observed.labels[turning] in made.labels) == (share < 1 / 3)

@@ -112,6 +112,11 @@ def likely_repeats(observed: Observed, effects: Sequence[Effect]) -> Repeated | 
     clearly show such stretches."""
     if not any(isinstance(effect, OutsideCoefficients) and effect.outside == "stuck" for effect in effects):
         return None
+    return clearly_repeated(observed)
+
+
+def clearly_repeated(observed: Observed) -> Repeated | None:
+    """Finds stretches of repeated samples; None if a recording or simulation does not clearly show such stretches."""
     found = repeated(observed)
     return found if found.log_bayes > PLAIN and found.stretches else None
 

@@ -17,12 +17,16 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.base.documents import JsonObject
 from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.apart import clearly_repeated
 from planrunner.gap.evidence.spectrum import Spectrum, spectrum, white_level
 from planrunner.gap.hypotheses.candidates import Weighing, simulated
 from planrunner.observation.refusals import ObservationError
 
 FEWEST = 3
 """Smallest number of segments that the recording and the simulation must have in common."""
+MOST_HELD = 1 / 3
+"""Fraction of a segment that may consist of samples that repeat an earlier one. If more samples of a channel repeat, the segment is not
+compared: the other samples hardly determine its coefficients."""
 
 
 @dataclass(frozen=True)
@@ -91,11 +95,12 @@ class GapComparison:
 
 def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> GapComparison:
     """Compares the recording in `weighing` with two simulations: `before` does not contain the effects, `after` contains them.
-    `nominal`: names of the terms that the nominal simulation fits. Raises `ObservationError` if the recording and the simulations
-    share too few segments, or if a simulation lacks a channel of the recording."""
-    recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white)
+    `nominal`: names of the terms that the nominal simulation fits. Samples that repeat an earlier one are left out of all three.
+    Raises `ObservationError` if the recording and the simulations share too few segments, or if a simulation lacks a channel of the
+    recording."""
+    recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white, weighing.held)
     first, second = (_Reduced.simulated(one, nominal) for one in (before, after))
-    labels = [name for name in recorded.observed.labels if name in first.rows and name in second.rows]
+    labels = [name for name in recorded.rows if name in first.rows and name in second.rows]
     names = [channel.name for channel in recorded.observed.channels]
     if len(labels) < FEWEST or any(name not in one.columns for name in names for one in (first, second)):
         hint = "simulate the plan of the recording on a bench whose sensor has the same outputs"
@@ -110,8 +115,8 @@ class _Reduced:
     """Contains a recording or simulation that was reduced to coefficients.
 
     `values`: array of shape (M, K) in SI units, the coefficients, each scaled so that it is a root mean square over its segment.
-    `counts`: array of shape (M,), number of samples in the segment of each coefficient. `rows`: the rows of each segment, by label;
-    the first row is the mean. `columns`: the column of each channel, by name. `white`: array of shape (K,), standard deviation of
+    `counts`: array of shape (M,), number of samples in the segment of each coefficient. `rows`: the rows of each segment that is compared,
+    by label; the first row is the mean. `columns`: the column of each channel, by name. `white`: array of shape (K,), standard deviation of
     the white noise of a single sample.
     """
 
@@ -124,18 +129,25 @@ class _Reduced:
     white: Array
 
     @classmethod
-    def of(cls, observed: Observed, found: Spectrum, white: Array) -> _Reduced:
+    def of(cls, observed: Observed, found: Spectrum, white: Array, held: NDArray[np.bool_] | None) -> _Reduced:
         counts = observed.counts[found.segment].astype(float)
         ends = [*found.means[1:], len(found.segment)]
-        rows = {label: slice(int(a), int(b)) for label, a, b in zip(observed.labels, found.means, ends, strict=True)}
+        shares = [0.0 if held is None else held[part].mean(axis=0).max() for part in observed.segments()]
+        rows = {
+            label: slice(int(a), int(b))
+            for label, a, b, share in zip(observed.labels, found.means, ends, shares, strict=True)
+            if share <= MOST_HELD
+        }
         columns = {channel.name: index for index, channel in enumerate(observed.channels)}
         return cls(observed, found.values / np.sqrt(counts)[:, None], counts, found.harmonic, rows, columns, white)
 
     @classmethod
     def simulated(cls, observed: Observed, nominal: Sequence[str]) -> _Reduced:
-        found = spectrum(observed, simulated(observed, nominal))
+        repeats = clearly_repeated(observed)
+        held = None if repeats is None else repeats.held
+        found = spectrum(observed, simulated(observed, nominal), held)
         counts = np.array([channel.resolution for channel in observed.channels])
-        return cls.of(observed, found, np.maximum(white_level(observed, found)[0], counts / np.sqrt(12)))
+        return cls.of(observed, found, np.maximum(white_level(observed, found)[0], counts / np.sqrt(12)), held)
 
 
 @dataclass(frozen=True)

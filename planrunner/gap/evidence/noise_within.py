@@ -43,6 +43,8 @@ _STANDING = 0.1
 """The level of a segment is at least this fraction of the median level of all segments or, if the level at rest is lower, of the
 level at rest. This limit is necessary because a limited or stuck output has little noise or none, but is not more precise than
 other outputs."""
+_LEAST_SEEN = 1e-6
+"""Fraction of the energy of a vector of the basis that the remaining samples must show, so that they determine its coefficient."""
 _SMALLEST = (
     1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
 )
@@ -113,6 +115,30 @@ class NoiseWithin:
                 known[key] = covariance
             for channel in coloured.tolist():
                 found[channel].of_segment(index)[:] = self.level[index, channel] * covariance[channel]
+        return found
+
+    def without_held(self, observed: Observed, held: NDArray[np.bool_]) -> NoiseWithin:
+        """Returns the noise with another level for segments in which samples (N, K) are replaced by the fit. Replaced samples have no
+        noise, so the measured level of such a segment is too low. The level of a usual segment is used if it is higher."""
+        affected = np.logical_or.reduceat(held, observed.bounds[:-1], axis=0)
+        return replace(
+            self, level=np.where(affected, np.maximum(self.level, np.median(self.level, axis=0)), self.level)
+        )
+
+    def of_held(self, observed: Observed, spectrum: Spectrum, held: NDArray[np.bool_]) -> list[Blocks]:
+        """Returns, for each channel, what the covariances increase by because some samples (N, K) are replaced by the fit.
+
+        In a segment, only the rows G of the basis V that belong to the other samples determine the coefficients. Their covariance is
+        then σ²·(GᵀG)⁻¹ instead of σ²·I.
+        """
+        size = [len(basis.frequency) for basis in spectrum.bases]
+        found = [Blocks.diagonal(size, np.zeros(len(size))) for _ in observed.channels]
+        for index, (basis, part) in enumerate(zip(spectrum.bases, observed.segments(), strict=True)):
+            for channel in np.flatnonzero(held[part].any(axis=0)).tolist():
+                left = basis.removed[~held[part][:, channel]]
+                values, vectors = np.linalg.eigh(left.T @ left)
+                more = (vectors * (1 / np.maximum(values, _LEAST_SEEN) - 1)) @ vectors.T
+                found[channel].of_segment(index)[:] = self.level[index, channel] * more[: size[index], : size[index]]
         return found
 
     def _covariance(self, segment: int, basis: SpectralBasis, half: float, peaks: Array) -> Array:

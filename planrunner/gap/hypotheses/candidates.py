@@ -209,7 +209,7 @@ class Weighing:
         removed: Array | None = None,
         held: NDArray[np.bool_] | None = None,
     ):
-        self.steps = counts(observed)
+        self.steps, self.held = counts(observed), held
         channels = zip(observed.channels, self.steps, strict=True)
         self.declared = observed
         self.observed = observed = replace(
@@ -227,6 +227,9 @@ class Weighing:
             blocks.plus(own)
             for blocks, own in zip(self.noise.of_coefficients(observed, self.spectrum), phase.T, strict=True)
         ]
+        if held is not None and held.any():
+            more = self.noise.of_held(observed, self.spectrum, held)
+            relative = [own.joined(further) for own, further in zip(relative, more, strict=True)]
         fast = np.column_stack([own.variances[self.spectrum.means] for own in relative]) * self.white**2
         slow, means = SlowNoise.of(observed, self.spectrum), fast / observed.counts[:, None]
         self.weights: list[list[ChannelWeights]] = []
@@ -277,6 +280,8 @@ class Weighing:
         self.nominal = [independent(np.hstack(parts)) for parts in zip(self.whole, self.angles, strict=True)]
         self.known: list[Array] = [part[:, :0] for part in self.whole]
         self.noise = noise_within(observed, self.spectrum, self.white, self._left())
+        if held is not None:
+            self.noise = self.noise.without_held(observed, held)
 
     def _left(self) -> Array:
         """Returns the coefficients (M, K) after the nominal parameters, fitted by least squares, have been subtracted."""
