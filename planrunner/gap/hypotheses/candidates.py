@@ -44,6 +44,7 @@ ABSORBED = 1e-4  # share of a signature's energy that remains through rounding w
 FULL = NOMINAL_TERMS
 EXCLUDED = -15.0  # log probability below which amplitudes count as physically impossible: 5 σ beyond a limit
 _QUANTILES = 256  # of the noise of a sample
+_AT_ONCE = 1 << 23  # values of whitened columns at all settings of the noise that are in memory at a time: 64 MB
 _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise is left out
 
 
@@ -502,7 +503,7 @@ class Weighing:
             )
             variants += map(_without_samples, group)
             del group  # before the next one is made
-        return variants, [np.hstack(channel) for channel in zip(*blocks, strict=True)]
+        return variants, [np.hstack([block.pop(0) for block in blocks]) for _ in self.observed.channels]
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
         """Returns posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes. Mean and covariance are averaged over
@@ -530,6 +531,10 @@ class Weighing:
         columns = [column for variant in variants for column in variant.columns]
         widths = [len(variant.columns) for variant in variants]
         bounds = np.concatenate(([0], np.cumsum(widths))).astype(int)
+        if len(variants) > 1 and raw[0].size * max(self.shape) > _AT_ONCE:
+            half = len(variants) // 2
+            parts = [block[:, : bounds[half]] for block in raw], [block[:, bounds[half] :] for block in raw]
+            return self.weigh(variants[:half], parts[0]) + self.weigh(variants[half:], parts[1])
         sizes = {"gyro": self.shape[0], "accel": self.shape[1]}
         grams = [{kind: np.zeros((n, p, p)) for kind, n in sizes.items()} for p in widths]
         scores = {kind: np.zeros((n, len(columns))) for kind, n in sizes.items()}
@@ -537,7 +542,7 @@ class Weighing:
         first: list[Array] = []
         for index, channel in enumerate(self.observed.channels):
             used = np.flatnonzero([index in column.parts for column in columns])
-            whole = np.zeros_like(raw[index])
+            whole = np.zeros(raw[index].shape)  # takes no memory before it is written
             first.append(whole)
             if not len(used):
                 continue

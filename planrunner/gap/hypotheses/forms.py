@@ -61,7 +61,7 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
         without_samples, coefficients = weighing.projected(_groups(way, weighing.observed))
         forms.append(without_samples)
         blocks.append(coefficients)
-    raw = [np.hstack(channel) for channel in zip(*blocks, strict=True)]
+    raw = [np.hstack([block.pop(0) for block in blocks]) for _ in weighing.observed.channels]
     weighed = iter(weighing.weigh([variant for form in forms for variant in form], raw))
     found = iter(
         [_candidate(weighing, way, [next(weighed) for _ in form]) for way, form in zip(ways, forms, strict=True)]
