@@ -1,7 +1,7 @@
-"""Finds effects that do not appear in the coefficients of a recording (`evidence.spectrum`), for example a line of one frequency.
-Such effects are found first and removed from the samples, so that they do not influence the evaluation of the other effects. They
-are present or absent independently of the other effects. Therefore, their log evidence is added to the log evidence of the other
-effects.
+"""Finds effects that do not appear in the coefficients of a recording, for example a tone of constant frequency. The coefficients
+describe each segment by its mean, its slow changes and its harmonics (`evidence.spectrum`). Such effects are found first and
+removed from the samples, so that they do not influence the evaluation of the other effects. They are present or absent
+independently of the other effects. Therefore, their log evidence is added to the log evidence of the other effects.
 
 One effect of this kind is a stuck output: the output keeps one value for longer than its noise allows. The evidence compares stuck
 stretches with the chance repeats of white noise. With white noise, a sample repeats the previous count with a probability r. The
@@ -96,8 +96,8 @@ class Apart:
 
     `log_bayes`: log Bayes factor of these effects. `parameters`: estimated parameters of these effects. `lines`: the effects among
     them that are tones. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if no effect
-    was found. `outside`: evidence for patterns that the basis of the coefficients cannot represent; None if `removed` changed the
-    samples, so that this evidence must be computed again.
+    was found. `outside`: evidence for patterns that the coefficients cannot represent; None if `removed` changed the samples, so
+    that this evidence must be computed again.
     """
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)

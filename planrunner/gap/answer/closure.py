@@ -6,7 +6,7 @@ fitted again with the other segments only. The difference d between the predicti
 exactly. The gap g is not known exactly, because the data contain noise. The size of the gap is |g| without the effect, and |g − d|
 with it. The result is an average over the following two cases, weighted by their probabilities in the diagnosis.
 
-- An effect or a pair of effects from the catalogue (the collection of known effects) is the whole cause. Then g is the signature of
+- An effect or a set of effects from the catalogue (the collection of known effects) is the whole cause. Then g is the signature of
   this cause, that is, its change of the outputs. The amplitudes of the signature are estimated from all segments. The errors of the
   amplitudes have the covariance that follows from the noise.
 - Something else acts, additionally or alone. Let r = g + noise be the residual of the nominal simulation in the held-out segments.
@@ -15,12 +15,15 @@ with it. The result is an average over the following two cases, weighted by thei
   component follows from a non-central χ² (its confidence distribution: Schweder and Hjort, Confidence, Likelihood, Probability,
   2016).
 
-Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only the
-declared level, half of it and twice it. The level is therefore measured from the residuals that the most probable effects leave:
-separately for gyros and accelerometers, and for the segment means and the changes within segments. A level from few residuals is
-uncertain, so errors have Student's t distribution with their degrees of freedom. The level of flicker relative to the other noise
-is measured from the same residuals. This matters because flicker is correlated between segments: it hides slow effects, and it
-cancels in differences between neighbouring segments, which show fast effects.
+Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only three
+levels: half the declared level, the declared level, and twice the declared level. The level is therefore measured from the
+residuals that the most probable effects leave: separately for gyros and accelerometers, and for the segment means and the changes
+within segments. A level from few residuals is uncertain, so errors have Student's t distribution with their degrees of freedom. The
+level of flicker relative to the other noise is measured from the same residuals. This matters because flicker is correlated between
+segments: it hides slow effects, and it cancels in differences between neighbouring segments, which show fast effects.
+
+In array shapes, M is the number of coefficients of a channel, K of channels, S of segments, G of settings of the noise, and p of
+columns of a choice (an effect or a set of effects). m counts selected coefficients, such as the held-out ones of all channels.
 """
 
 from __future__ import annotations
@@ -55,7 +58,8 @@ FLICKER_LEVELS = (0.0, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)  # relative to the de
 EXCESS = 0.01  # p-value below which the residuals of a group contain more than noise
 SMALLEST = 1e-4  # of the measured variance of the noise, relative to its model
 WALKED = 0.1
-"""Smallest share of the residuals within segments that must remain without a random walk, so that their level shows the noise."""
+"""Smallest fraction of the gyros' squared residuals within segments that must remain after the expected energy of a random walk has
+been subtracted. If less remains, these residuals do not show the level of the noise."""
 SHAPES = 6  # number of shapes of an effect besides the best one
 UNLIKELY = 8.0
 """If the log probability of a shape is lower than that of the most probable shape by more than this value [nats], the shape is
@@ -155,7 +159,7 @@ class FoldChoice:
 
     @property
     def free(self) -> list[int]:
-        """Returns the numbers of the columns whose amplitudes are fitted."""
+        """Returns the indices of the columns whose amplitudes are fitted."""
         return [column for column in range(sum(self.widths)) if column not in self.fixed]
 
     def amplitudes(self, gram: Array, score: Array) -> tuple[Array, Array]:
@@ -174,11 +178,11 @@ class MeasuredNoise:
     """The measured noise of the coefficients.
 
     `weights`: weights that whiten the coefficients of each channel, at the most probable level of flicker. `scale`: for each
-    channel, an array (M,): the measured standard deviation of the whitened coefficients, which is 1 if `weights` are right.
-    `group`: for each channel, an array (M,): the index of the noise group of each coefficient. A noise group contains the segment
-    means of one triad, or the changes within the segments of one triad. `degrees`: array of shape (groups,), degrees of freedom of
-    the measured level of each group. `limits`: array of shape (groups,), True if the level is only an upper limit, because the
-    residuals contain a part of the gap and exceed the noise of the model.
+    channel, an array (M,), the measured standard deviation of the whitened coefficients; 1 if `weights` are right. `group`: for
+    each channel, an array (M,), the index of the noise group of each coefficient. A noise group contains the segment means of one
+    triad, or the changes within the segments of one triad. `degrees`: array of shape (groups,), degrees of freedom of the measured
+    level of each group. `limits`: array of shape (groups,), True if the level is only an upper limit, because the residuals contain
+    a part of the gap and exceed the noise of the model.
     """
 
     weights: tuple[ChannelWeights, ...] = field(repr=False)
@@ -221,7 +225,8 @@ class Amplitudes:
     degrees: Array
 
     def drawn(self, count: int, draw: np.random.Generator) -> Array:
-        """Draws random amplitudes (count, p). The errors that a noise group causes have Student's t distribution."""
+        """Draws `count` random values of the amplitudes, shape (count, p). The errors that a noise group causes have Student's t
+        distribution."""
         out = np.tile(self.mean, (count, 1))
         for root, degrees in zip(self.roots, self.degrees, strict=True):
             larger = np.sqrt(degrees / draw.chisquare(degrees, (count, 1))) if np.isfinite(degrees) else 1.0
@@ -389,9 +394,12 @@ def _repetition(
     named: str,
 ) -> Repetition | None:
     """Returns the expected reduction of the gap in a repetition of the same segments, in which only the noise differs. The most
-    probable form of the named effect or set is fitted to all segments. The result is None if the data do not determine the
-    reduction. The nominal parameters are fitted to each repetition. `amplitudes`: the amplitudes of each choice. `shares`: the
-    probabilities of the choices."""
+    probable form of the named effect or set is fitted to all segments. The nominal parameters are fitted to each repetition. The
+    result is None if the data do not determine the reduction.
+
+    `amplitudes`: the amplitudes of each choice. `shares`: array of shape (choices,), probability that each choice is the whole
+    cause. `beyond`: probability that none of the choices is the whole cause. `named`: the effect or set of the verdict.
+    """
     fits = _fits(weighing, noise, [replace(choice, point=None) for choice in choices])
     own = np.array([choice.effect == named for choice in choices])
     ranks = shares if shares[own].any() else np.array([fit.log_bayes for fit in fits])
@@ -411,8 +419,8 @@ def _repetition(
 
 
 def _projected_change(fit: _Fit, choice: FoldChoice) -> Array:
-    """Returns the change of the whitened signature of an effect on the output, per change of each nominal parameter, over all
-    channels, shape (m, q). For other effects, the result has no columns."""
+    """For an effect on the output, returns the derivative of its whitened signature with respect to each nominal parameter, over
+    all channels, shape (m, q). For other effects, the result has no columns."""
     from scipy.linalg import block_diag
 
     changes = [] if choice.point is None else choice.point.change
@@ -540,7 +548,8 @@ def _with_measured_flicker(
     kind: str,
 ) -> list[ChannelWeights]:
     """Measures the level of flicker of one triad, and returns the weights of all channels with this level. The square of the level
-    is averaged over `FLICKER_LEVELS`, weighted by their restricted likelihood. The weights are unchanged if no flicker is declared."""
+    is averaged over `FLICKER_LEVELS`, weighted by their restricted likelihood. The weights are unchanged if no flicker is declared.
+    `group`: the same as in `MeasuredNoise`."""
     settings = {
         one.flicker: index for index, one in reversed(list(enumerate(weighing.settings[kind]))) if one.walk == 0
     }
@@ -626,8 +635,8 @@ def _fit(choice: FoldChoice, noise: MeasuredNoise, rows: list[_Rows]) -> _Fit:
 
 
 def _shares(choices: Sequence[FoldChoice], fits: Sequence[_Fit]) -> Array:
-    """Returns the probabilities of the choices. The probability of each effect is divided anew among its forms, according to their
-    evidence at the measured noise."""
+    """Returns the probability that each choice is the whole cause, shape (choices,). The probability of each effect is divided anew
+    among its forms, according to their evidence at the measured noise."""
     shares = np.array([choice.probability for choice in choices])
     for effect in {choice.effect for choice in choices if choice.probability > 0}:
         own = np.array([choice.effect == effect for choice in choices]) & (shares > 0)
@@ -645,7 +654,8 @@ def _measured_rows(
     beyond: float,
     noise: MeasuredNoise,
 ) -> Closure:
-    """Returns the closure computed from the selected `rows` of every fold."""
+    """Returns the closure computed from the selected `rows` of every fold. `rows`: for each fold, a mask of its held-out
+    coefficients. `amplitudes`, `shares`, `beyond`: the same as in `_repetition`."""
     chosen = list(zip(folds, rows, strict=True))
     difference = np.concatenate([fold.difference[at] for fold, at in chosen])
     known = []
@@ -658,8 +668,9 @@ def _measured_rows(
 
 
 def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure, residual: Array) -> ChannelClosure:
-    """Returns the closure of a channel, with the sizes of the gap also in the channel's unit. A size in standard deviations is
-    converted with the root mean square of the noise of the coefficients."""
+    """Returns the closure of the channel with the index `index`, with the sizes of the gap also in the channel's unit. A size in
+    standard deviations is converted with the root mean square of the noise of the coefficients. `own`: the closure of the channel.
+    `residual`: array of shape (m,), the channel's held-out residuals in all folds; only their number is used."""
     channel, weight = weighing.observed.channels[index], noise.weights[index]
     every = np.ones(len(weight.scale), dtype=bool)
     sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)) * noise.scale[index] ** 2)))
@@ -713,7 +724,8 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold]) -> float:
     """Returns which fraction of an effect's energy in the held-out segments is determined by the other segments. The amplitudes are
-    assumed to have the estimated size. The fraction is 0 if only one segment shows the effect."""
+    assumed to have the estimated size. The fraction is 0 if only one segment shows the effect. `widths`: number of columns of each
+    effect of the choice. `number`: index of the choice."""
     size = best_scales(fit.gram, fit.score, widths)
     shown = left = 0.0
     for fold in folds:
@@ -767,7 +779,8 @@ def _unknown(
 ) -> Array:
     """Draws random values (count, 2) of the squared size of a gap of unknown composition: first without, then with the chosen
     effect. `level`: array of shape (m,), variance of the noise of each residual; for the part of the gap orthogonal to
-    `difference`, the mean of `level` is used."""
+    `difference`, the mean of `level` is used. `count`: number of draws. `fitted`: number of parameters that were fitted to the
+    residuals."""
     from scipy.special import chndtr
 
     m, size = max(len(residual) - fitted, 2), float(np.linalg.norm(difference))
@@ -797,7 +810,9 @@ def _fold(
     held: NDArray[np.bool_],
     worth: float = WORTH,
 ) -> _Fold:
-    """Returns the held-out rows of all channels in one fold. The effect is chosen from the other rows."""
+    """Returns the held-out rows of all channels in one fold. The effect is chosen from the other rows. `held`: array of shape (M,),
+    True for the held-out coefficients. `worth`: the log Bayes factor that a choice must reach to be selected; if none reaches it,
+    the predicted change is zero."""
     used = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([choice.raw[0].shape[1] for choice in choices])))
     parts = [slice(low, high) for low, high in pairwise(bounds)]
@@ -829,8 +844,9 @@ def _fold(
 
 
 def _moving(used: Sequence[_Rows], point: OperatingPoint, held: NDArray[np.bool_]) -> Array:
-    """Returns how the part of the prediction that an effect on the output causes changes in the held-out segments, per change of
-    each nominal parameter, shape (m, q). q counts the parameters of all channels on which the effect acts."""
+    """For an effect on the output, returns the derivative of the predicted effect with respect to each nominal parameter, in the
+    held-out segments of all channels, shape (m, q). `point`: the nominal parameters about which the effect is linearised. `held`:
+    array of shape (M,), True for the held-out coefficients. q counts the parameters of all channels on which the effect acts."""
     from scipy.linalg import block_diag
 
     blocks = [
@@ -845,7 +861,7 @@ def _all_shown(widths: Sequence[int], used: Array, held: Array) -> bool:
     could determine an amplitude.
 
     `used`, `held`: arrays of shape (p,), energy of each column in the used and in the held-out segments, without the part that the
-    nominal parameters absorb."""
+    nominal parameters absorb. `widths`: number of columns of each effect."""
     starts = np.concatenate(([0], np.cumsum(widths)[:-1])).astype(int)
     shown, whole = np.add.reduceat(used, starts), np.add.reduceat(used + held, starts)
     return bool(np.all(shown > ABSORBED * whole))

@@ -4,6 +4,9 @@ The recording and both simulations are reduced to the coefficients of `evidence.
 changes, and the harmonics of turns and of rocking. First, the outputs that follow from the nominal motion are subtracted from the
 recording and from each simulation. Times and table angles therefore need not agree exactly. The simulated sensor has other nominal
 parameters than the recorded one; therefore the nominal columns are fitted to the difference.
+
+In array shapes, S is the number of segments, M of coefficients, and K of channels. m counts the coefficients that the recording and
+both simulations have in common.
 """
 
 from __future__ import annotations
@@ -223,7 +226,8 @@ def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
 
 
 def _left(values: Array, nominal: Array, variance: Array) -> Array:
-    """Returns the residuals (m,) of a weighted fit of the nominal columns (m, q)."""
+    """Returns the residuals (m,) of values (m,) after a weighted fit of the nominal columns (m, q). `variance`: array of shape
+    (m,), variance of each value."""
     if not nominal.shape[1]:
         return values
     weight = 1 / np.sqrt(variance)

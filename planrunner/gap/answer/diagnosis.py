@@ -101,11 +101,11 @@ class Grounds:
 @dataclass(frozen=True)
 class Diagnosis:
     """Contains the result of a diagnosis. `gap`: size of the gap of each channel, in the unit of the channel. `noise`: the noise of
-    every channel. `posterior`: probabilities of all hypotheses. `absorbed`: effects that the nominal parameters reproduce almost
-    completely, each with the remaining fraction of its energy. `unknown`: form of the gap, if the verdict is that its cause is not
-    in the catalogue. `rest`: the part of the gap that the named effects do not explain; None if no effect is named, or if a random
-    walk is among the named effects. `pictures`: data for plots. `given`: parameters of the effects that are known to act, fitted
-    together with the named effects.
+    every channel. `where`: the parts of the recording that were examined, the most conspicuous first. `posterior`: probabilities of
+    all hypotheses. `absorbed`: effects that the nominal parameters reproduce almost completely, each with the remaining fraction of
+    its energy. `unknown`: form of the gap, if the verdict is that its cause is not in the catalogue. `rest`: the part of the gap
+    that the named effects do not explain; None if no effect is named, or if a random walk is among the named effects. `pictures`:
+    data for plots. `given`: parameters of the effects that are known to act, fitted together with the named effects.
     """
 
     gap: Mapping[str, Mapping[str, Json]]

@@ -14,6 +14,8 @@ p-value of a level is the probability that, in pure noise, the highest score of 
 
 The patterns of the open set compete with the effects of the catalogue. The most probable pattern determines the factor that an
 unknown gap follows. The residuals of the simulation give the form of this gap.
+
+In array shapes, M is the number of coefficients of a channel, and K of channels.
 """
 
 from __future__ import annotations
@@ -158,7 +160,7 @@ def places(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> list[MisfitPla
 
 def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, Array]:
     """Returns the log Bayes factor of each factor in each channel, shape (K,). `noisier`: array of shape (K,), log Bayes factor of
-    the hypothesis that the white noise is larger than declared."""
+    the hypothesis that the white noise is larger than declared. `kinds`: the same as in `places`."""
     sorted_: dict[Factor, list[Array]] = {Factor.BAND: [noisier]}
     for pattern, values in kinds.items():
         sorted_.setdefault(pattern.factor, []).append(values)
@@ -167,7 +169,7 @@ def _by_factor(noisier: Array, kinds: Mapping[Pattern, Array]) -> dict[Factor, A
 
 def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
     """Returns the log Bayes factors, shape (3, K), of three hypotheses: slow changes within segments, more white noise than
-    declared, and a tone outside the basis of the coefficients."""
+    declared, and a tone outside the basis of the coefficients. `kinds`: the same as in `places`."""
     none = np.full(len(weighing.observed.channels), -np.inf)
     more = excess_by_channel(weighing.declared, weighing.white, weighing.white_degrees)
     return np.array([kinds.get(WHOLE[Sort.TRANSIENT], none), more, kinds.get(TONE, none)])
@@ -175,7 +177,9 @@ def _outside(weighing: Weighing, kinds: Mapping[Pattern, Array]) -> Array:
 
 def _of_noise(weighing: Weighing, channel: int, evidence: float, places_: int) -> MisfitPlace:
     """Returns the entry for noise or a tone outside the basis of the coefficients. The p-value of this entry follows from Markov's
-    inequality: if there is only noise, the probability of a Bayes factor of B or more is at most 1/B."""
+    inequality: if there is only noise, the probability of a Bayes factor of B or more is at most 1/B. `channel`: index of the
+    channel. `evidence`: logarithm of B. `places_`: number of parts of the recording that were examined, for Bonferroni's
+    correction."""
     declared = weighing.declared.channels[channel]
     level = declared.sample_variance(weighing.observed.sample_rate) / weighing.white[channel] ** 2
     p = min(1.0, places_ * float(np.exp(-evidence)))
@@ -259,8 +263,8 @@ def _binned(values: Array, unit: str) -> list[str]:
 
 
 def _up(attitude: Array) -> str:
-    """Describes the direction of the vertical in the sensor's axes. For a pose in an unknown orientation, only this direction is
-    known."""
+    """Describes the direction of the vertical in the sensor's axes. This function serves poses in an unknown orientation, of which
+    only this direction is known. `attitude`: array of shape (3, 3), whose last column is the vertical."""
     return "up at " + ", ".join(f"{letter} {value:.2f}" for letter, value in zip("xyz", attitude[:, 2], strict=True))
 
 
@@ -288,9 +292,9 @@ class FormPoint:
 @dataclass(frozen=True)
 class UnknownForm:
     """Describes the form of an unknown cause. `pattern`: name of the pattern in words. `factor`: the factor that the gap follows.
-    `channels`, `units`: channels that show the gap, and their units. `share`: fraction of the energy of the gap in all channels.
-    `share` is None for noise and tones, which lie outside the coefficients. `points`: the offsets at each level; empty if the
-    pattern does not consist of offsets.
+    `channels`, `units`: channels that show the gap, and their units. `share`: fraction of the gap's energy, summed over all
+    channels, that the pattern explains. `share` is None for noise and tones, which lie outside the coefficients. `points`: the
+    offsets at each level; empty if the pattern does not consist of offsets.
     """
 
     pattern: str
@@ -361,7 +365,8 @@ def _share(weighing: Weighing, part: float) -> float:
 
 
 def _of_levels(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -> float:
-    """Returns the fraction of the gap's energy that a constant offset at each level of the factor explains."""
+    """Returns the fraction of the gap's energy that a constant offset at each level of the factor explains. `labels`: level of each
+    segment. `seen`: indices of the channels that show the gap."""
     _, which = np.unique(np.array(labels), return_inverse=True)
     count = np.bincount(which)
     total = 0.0
@@ -372,7 +377,8 @@ def _of_levels(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -
 
 
 def _points(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -> tuple[FormPoint, ...]:
-    """Returns the mean offset at each level, weighted by the noise of the segments, in the order of the recording."""
+    """Returns the mean offset at each level, weighted by the noise of the segments, in the order of the recording. `labels`,
+    `seen`: the same as in `_of_levels`."""
     order = list(dict.fromkeys(labels))
     which = np.array([order.index(label) for label in labels])
     values, uncertainties = [], []
@@ -391,8 +397,9 @@ def _points(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -> t
 
 
 def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed | None) -> JsonObject:
-    """Returns the data for all plots: a heat map of the energy by segment and channel, in units of the noise; the confusability;
-    the segment means before and after the effects are fitted; and the spectra."""
+    """Returns the data for all plots: a heat map of the energy by segment and channel, in units of the noise; the confusability of
+    every two effects (`answer.verdict`); the segment means before and after the effects are fitted; and the spectra. `after`: the
+    fitted effects, or None if there are none."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = len(observed)
     amplitudes = None if after is None else after.amplitudes[0]

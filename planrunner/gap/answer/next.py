@@ -19,6 +19,8 @@ A repetition of the recorded segments is evaluated in the same way, for comparis
 If the segments of the bench cannot distinguish the explanations, additional instruments are evaluated in the same way as segments.
 Effects of the table and of the site act on every instrument on the table. Effects of the sensor under test and of its data
 acquisition do not act on these instruments.
+
+In array shapes, P is the number of columns of all explanations, R of explanations, and K of channels.
 """
 
 from __future__ import annotations
@@ -314,8 +316,8 @@ class Foreseen:
     the noise.
 
     `within`: array of shape (P, P), information per second from changes within the segment. `means`: array of shape (K, P), mean of
-    each column over the segment. `noise`: array of shape (K,), white noise density of each channel. `flicker`: array of shape (K,),
-    declared bias instability of each channel.
+    each column over the segment. `noise`: array of shape (K,) in SI·√s, white noise density of each channel. `flicker`: array of
+    shape (K,) in SI units, declared bias instability of each channel.
     """
 
     segment: Segment
@@ -330,8 +332,8 @@ class Foreseen:
         return self.information(self.segment.dwell or 0.0)
 
     def information(self, seconds: float) -> Array:
-        """Returns the information for a dwell of the given length [s], shape (P, P). Slow noise limits the information that the
-        mean of the segment gives."""
+        """Returns the information for a dwell of `seconds`, shape (P, P). Slow noise limits the information that the mean of the
+        segment gives."""
         slow = flicker(np.zeros(1), np.full(1, seconds))[0, 0]
         variance = self.noise**2 / seconds + self.flicker**2 * slow
         products: Array = seconds * self.within + (self.means / variance[:, None]).T @ self.means
@@ -437,8 +439,8 @@ def following(
 
 
 def _times(segment: Segment, rate: float) -> Array:
-    """Returns the sample times, counted from the start of the segment. For a ramp, these are all sample times; for other motions,
-    the sample times of a few seconds with whole turns or periods."""
+    """Returns the sample times [s], counted from the start of the segment, shape (n,). For a ramp, they cover the whole segment;
+    for other motions, they cover a few seconds with whole turns or periods. `rate`: sampling rate, Hz."""
     assert segment.dwell is not None
     span, begin = _SAMPLED, 0.0
     if segment.ramp_to is not None:
@@ -455,7 +457,8 @@ def _times(segment: Segment, rate: float) -> Array:
 
 
 def _temperatures(segment: Segment, now: float) -> tuple[float, float]:
-    """Returns the temperatures [degC] at the start and at the end of a segment."""
+    """Returns the temperatures [degC] at the start and at the end of a segment. `now`: temperature at the end of the recording,
+    degC."""
     start = now if segment.temperature is None else segment.temperature - ZERO_CELSIUS
     return start, start if segment.ramp_to is None else segment.ramp_to - ZERO_CELSIUS
 
@@ -617,8 +620,13 @@ def _shortened(
     last: Segment | None,
     seconds: Seconds,
 ) -> tuple[list[list[Foreseen]], list[float], list[float]]:
-    """Shortens the list of moves. A move is one segment or a bundle of segments. The shorter list contains the moves with the
-    largest gain and with the largest gain per second, and bundles of the best moves at each temperature."""
+    """Shortens the list of moves, and returns the remaining moves with their gains and costs. A move is one segment or a bundle of
+    segments. The shorter list contains the moves with the largest gain and with the largest gain per second, and bundles of the
+    best moves at each temperature.
+
+    `running`: the moves. `gains`: reduction of the expected loss by each move. `costs`: test time of each move, s. `size`: number
+    of all columns. `last`: the segment before the moves, None if there is none.
+    """
     by_gain, by_rate = np.argsort(-np.array(gains)), np.argsort(-np.array(gains) / np.array(costs))
     temperatures: dict[float | None, list[int]] = {}
     for index in by_gain:
@@ -664,7 +672,8 @@ def _by_temperature(chosen: Sequence[Foreseen]) -> list[Foreseen]:
 def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: float) -> tuple[float, float]:
     """Returns the test time [s] of repetitions of the recorded segments, and the expected probability of the true explanation after
     them. The number of repetitions is the smallest considered number for which this probability is at least `aim`. If no number of
-    repetitions is enough, returns both values for the largest number considered."""
+    repetitions is enough, returns both values for the largest number considered. `recorded`: array of shape (P, P), information
+    from the recording. `lasting`: test time of the recording, s."""
     for times in _REPEATS:
         reached = expected_probability(rivals, recorded * times)
         if reached >= aim:
@@ -714,7 +723,8 @@ def _with(
     instrument: _Instrument, weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options: Sequence[Segment]
 ) -> tuple[list[Rival], Array]:
     """Returns the rivals, extended by the instrument's own nominal parameters. Also returns the total information from all segments
-    in `options`, for the case that the instrument measures during these segments too."""
+    in `options`, for the case that the instrument measures during these segments too. This information covers the P columns and the
+    instrument's own q parameters, shape (P + q, P + q)."""
     observed = weighing.observed
     both = replace(observed, channels=(*observed.channels, *instrument.channels))
     own = len(observed.channels)

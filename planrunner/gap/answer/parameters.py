@@ -1,5 +1,7 @@
 """Estimates parameters: the amplitudes and shapes of the effects that a diagnosis names, and the terms that the nominal simulation
 fits. These terms can be compared with the specification of the sensor.
+
+In array shapes, K is the number of channels.
 """
 
 from __future__ import annotations

@@ -9,7 +9,9 @@ Thus, if even the best set does not explain the residuals, the evidence distingu
 
 A hypothesis about the level of the noise does not compete with a cause. Hypotheses that differ only in an effect on the level of
 the noise count as the same cause, and their probabilities are added. The probability of each effect on the noise level is stated
-separately.
+separately. A log weight is the logarithm of a probability that is not yet normalised.
+
+In array shapes, K is the number of channels.
 """
 
 from __future__ import annotations
@@ -193,7 +195,7 @@ def posterior(
 
 def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str, float]:
     """Returns the probabilities of the causes. The probabilities of hypotheses that differ only in effects on the level of the
-    noise are added. `levels`: names of the effects on the level of the noise."""
+    noise are added. `levels`: names of the effects on the level of the noise. `shares`: probability of each hypothesis."""
     found: dict[str, float] = {}
     for name, share in shares.items():
         key = key_of(part for part in name.split("+") if part not in levels) or name
@@ -205,9 +207,12 @@ def _of_noise(
     shares: Mapping[str, float], levels: Set[str], noise: _NoiseOnly, found: Mapping[str, float], count: int
 ) -> dict[str, float]:
     """Returns the probability of each effect on the level of the noise. The probability of a hypothesis with something else covers
-    all states of the noise, so it is divided among these states. `levels`: names of the effects on the level of the noise. `found`:
-    the hypotheses that `posterior` evaluated directly. When the effects of these hypotheses are counted, "unknown" counts as an
-    effect."""
+    all states of the noise, so it is divided among these states.
+
+    `shares`: probability of each hypothesis. `levels`: names of the effects on the level of the noise. `found`: log evidence of the
+    hypotheses that `posterior` evaluated directly. When the effects of such a hypothesis are counted, "unknown" counts as one of
+    them. `count`: number of effects that the plan can excite.
+    """
     total = dict.fromkeys(sorted(levels), 0.0)
     for name, share in shares.items():
         parts = name.split("+")
@@ -222,12 +227,13 @@ def _of_noise(
 
 def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
     """Returns an addition to the log weight of a cause of `size` effects. The addition allows for noise that differs from the
-    declared noise."""
+    declared noise. `count`: number of effects that the plan can excite."""
     return float(np.logaddexp.reduce(list(_states_beside(noise, size, count).values())))
 
 
 def _states_beside(noise: _NoiseOnly, size: int, count: int) -> dict[tuple[str, ...], float]:
-    """Returns the log weight of each state of the noise together with a cause of `size` effects, relative to the declared noise."""
+    """Returns the log weight of each state of the noise together with a cause of `size` effects, relative to the declared noise.
+    `count`: number of effects that the plan can excite."""
     return {
         other: density - noise.declared + _log_prior_of(size + len(other), count) - _log_prior_of(size, count)
         for other, density in noise.states.items()
@@ -301,7 +307,8 @@ def _with_something_else(
     """Returns the log weights of hypotheses in which something else acts in addition to a set of effects. Something else is
     evaluated in addition to all effects of the chain, and also in addition to its smaller sets, because some of the effects may
     only imitate something else. Two kinds of sets are omitted: sets with physically impossible amplitudes, and sets whose evidence
-    is small compared with something else (`IMPERFECT`)."""
+    is small compared with something else (`IMPERFECT`). `chain`: the growing sets of effects, as `_chain` returns them. `found`:
+    log evidence of each set and of "unknown". `count`: number of effects that the plan can excite."""
     made: dict[str, float] = {}
     for key, weighed in reversed(chain):
         if weighed.excluded or found[key] < IMPERFECT * found[UNKNOWN]:
@@ -345,7 +352,7 @@ def _as_named(
 
 def _shared(logs: Mapping[str, float]) -> dict[str, float]:
     """Returns the normalised probabilities of the sets of effects, without "none", "unknown" and other hypotheses that have a fixed
-    prior."""
+    prior. `logs`: log weight of each hypothesis."""
     return _shares({name: value for name, value in logs.items() if name not in PRIORS})
 
 
@@ -362,13 +369,14 @@ def _beside(kinds: Kinds) -> float:
 
 
 def _acting(log_evidence: Mapping[str, float]) -> int:
-    """Returns the number of effects that the plan can excite. Effects that the plan cannot excite count as absent."""
+    """Returns the number of effects that the plan can excite. Effects that the plan cannot excite count as absent; their
+    `log_evidence` is −∞."""
     return sum(np.isfinite(value) and name not in PRIORS and "+" not in name for name, value in log_evidence.items())
 
 
 def log_prior(name: str, acting: int) -> float:
-    """Returns the log prior of a hypothesis. All sets with the same number of effects that the plan can excite have the same
-    prior."""
+    """Returns the log prior of a hypothesis. All sets with the same number of effects have the same prior. `acting`: number of
+    effects that the plan can excite."""
     if name in PRIORS:
         return float(np.log(PRIORS[name]))
     parts = name.split("+")
@@ -376,7 +384,8 @@ def log_prior(name: str, acting: int) -> float:
 
 
 def _log_prior_of(size: int, acting: int, besides: bool = False) -> float:
-    """Returns the log prior of one set of `size` effects. `besides`: True if something else acts in addition."""
+    """Returns the log prior of one set of `size` effects. `acting`: number of effects that the plan can excite. `besides`: True if
+    something else acts in addition."""
     share = PRIORS["several"] / 2 ** (size + 1 if besides else size - 1)
     if not besides and size < 3:
         share = PRIORS["single" if size == 1 else "pair"]

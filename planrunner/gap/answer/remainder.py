@@ -13,6 +13,8 @@ Nelder, Generalized Linear Models, 1989, section 4.5). In metrology it is the sq
 This correction corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical
 Association 114, 2019). If chance can explain the ratio, the dispersion is 1. Therefore, without a misfit, the evidence does not
 change.
+
+In array shapes, M is the number of coefficients of a channel, S of segments, and K of channels. ν stands for degrees of freedom.
 """
 
 from __future__ import annotations

@@ -3,9 +3,11 @@ probable smaller sets, and fits all amplitudes again (forward selection; several
 beam search). In the most probable set, it also fits the shapes again.
 
 In a quick evaluation, the amplitudes of a set are fixed at their most probable values, and every form of every other effect is
-evaluated on the residuals. The best sets are then evaluated in full: with a separate strength for every effect, and at every
-setting of the noise that has a noticeable weight. A setting of the noise is a combination of levels of flicker and random walk. The
-best sets are also evaluated together with a random walk of the gyros.
+evaluated on the residuals. The best sets are then evaluated in full: with a separate scale for the amplitudes of every effect, and
+at every setting of the noise that has a noticeable weight. A setting of the noise is a combination of levels of flicker and random
+walk. The best sets are also evaluated together with a random walk of the gyros.
+
+In array shapes, G is the number of settings of the noise.
 """
 
 from __future__ import annotations
@@ -124,8 +126,8 @@ def sets_of(
     """Evaluates pairs and larger sets of effects that have signatures.
 
     `prior`: function that returns the log prior of one set of a given number of effects. `walks`: True if a random walk is a
-    hypothesis. `known`: the sets that were evaluated with another level of the noise. If it is given, no shape is fitted again, and
-    known sets in which an effect acts on the others keep their forms.
+    hypothesis. `known`: the sets that were evaluated with another level of the noise. If `known` is given, no shape is fitted
+    again, and known sets in which an effect acts on the others keep their forms.
     """
     refit = known is None
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
@@ -234,7 +236,8 @@ def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
 
 
 def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
-    """Returns the set with one addition: its evidence for the case that a random walk acts in addition."""
+    """Returns a copy of the set that also contains the log evidence for the case that a random walk acts in addition
+    (`walking`)."""
     if np.isfinite(one.walking) or not np.isfinite(weighing.log_prior[1]).any():
         return one
     log_bayes = _log_bayes(weighing, one.weighed, one.members, weighing.log_prior[1])
@@ -243,7 +246,7 @@ def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 def _log_bayes(weighing: Weighing, weighed: Weighed, members: Sequence[Member], log_prior: Array) -> Array:
     """Returns the log Bayes factor of the set at each setting of the noise, shape (G,). The value is −∞ at settings that have no
-    noticeable weight under the given prior."""
+    noticeable weight under the given prior. `log_prior`: array of shape (G,), log prior of each setting."""
     widths = weighed.variant.widths
     traces = [member.form.trace for member in members]
     scales = best_scales(weighed.gram[0], weighed.score[0], widths)

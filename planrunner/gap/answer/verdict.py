@@ -11,6 +11,8 @@ The confusability states which effects a plan can distinguish. It can be compute
 confusability ρ(A|B), the signature of effect A is whitened, and the part that the nominal parameters absorb is projected out. Then
 ρ(A|B) is the fraction of the energy of this signature that effect B reproduces with suitable amplitudes. If λ is the energy of the
 fitted effect A, the test between A and B has the non-centrality λ(1 − ρ).
+
+In array shapes, M is the number of coefficients of a channel.
 """
 
 from __future__ import annotations
@@ -69,8 +71,9 @@ def energy_beside(together: EffectSet, name: str) -> float:
 
 
 def shared(best: Sequence[Weighed]) -> Array:
-    """Computes the confusability ρ(A|B) before data are recorded, one row for each effect A. The confusability is averaged over
-    amplitudes from the prior of A: ρ = tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa), where G is the Gram matrix of the signatures of A and B."""
+    """Computes the confusability ρ(A|B) before data are recorded, shape (n, n) for n effects, one row for each effect A. The
+    confusability is averaged over amplitudes from the prior of A: ρ = tr(G_ab·G_bb⁻¹·G_ba)/tr(G_aa), where G is the Gram matrix of
+    the signatures of A and B. `best`: the evaluated best form of each effect."""
     bounds = np.concatenate(([0], np.cumsum([len(item.gram[0]) for item in best]))).astype(int)
     parts = [slice(low, high) for low, high in pairwise(bounds)]
     blocks = [np.hstack(channel) for channel in zip(*(item.by_channel for item in best), strict=True)]
@@ -122,7 +125,7 @@ def _most(log_evidence: Mapping[str, float], among: Collection[str], least: floa
 
 def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float]:
     """Maps each hypothesis to the ratio of its probability to the probability of `best`, limited to 1. Hypotheses that explain
-    clearly more of the gap than `best` are omitted."""
+    clearly more of the gap than `best` are omitted. `log_evidence`: log evidence of each hypothesis."""
     away = {name: value - log_evidence[best] for name, value in log_evidence.items()}
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
 
@@ -209,8 +212,9 @@ def _without(name: str, effect: str) -> str:
 
 
 def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None, left: bool) -> Verdict:
-    """Returns the verdict that names the effects. If there are rivals, the verdict names the class that consists of the effects and
-    their rivals."""
+    """Returns the verdict that names the effects. If there is more than one rival, the verdict names the class that consists of the
+    effects and their rivals. `rivals`: the hypotheses that cannot be distinguished, including that of `effects`. `left`: True if
+    something else acts in addition."""
     if len(rivals) > 1:
         return Verdict("indistinguishable", effects, rivals, residue, left)
     return Verdict({1: "effect", 2: "pair"}.get(len(effects), "several"), effects, (), residue, left)

@@ -1,10 +1,11 @@
 """Computes Bayes factors: the evidence for an effect with unknown amplitudes, relative to no effect.
 
 The strength of an effect is its energy λ. λ is the energy of the effect's signature in units of the noise, without the part that
-the nominal parameters absorb. The direction of the amplitudes follows N(0, D), and λ is log-uniform from `WEAKEST` to `STRONGEST`.
-Weaker effects count as absent, because they cannot be distinguished from no effect. Amplitudes θ ~ N(0, s²·D) with a log-uniform s²
-have the same directions, but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed in three steps. First,
-the log Bayes factor of the Gaussian model is computed for given s²:
+the nominal parameters absorb. The ratios between the amplitudes are those of a draw from N(0, D), where the diagonal matrix D
+contains the squared prior magnitudes of the amplitudes. λ is log-uniform from `WEAKEST` to `STRONGEST`. Weaker effects count as
+absent, because they cannot be distinguished from no effect. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same ratios,
+but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed in three steps. First, the log Bayes factor of the
+Gaussian model is computed for given s²:
 
     −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c
 
@@ -12,6 +13,10 @@ Here, G is the Gram matrix of the signatures, and c is the product of the signat
 multiplied by the posterior probability that λ = θᵀGθ is at least `WEAKEST`. Third, the product is averaged over log s². For given
 s², λ is a sum of scaled non-central χ² variables; its distribution is approximated by a scaled χ² with the same mean and variance
 (Patnaik, Biometrika 36, 1949). Above `STRONGEST`, the prior density continues, because a stronger effect is still the same effect.
+
+In the functions, `gram` is the matrix G and `score` is the vector c, both in units of the prior magnitudes, so that D = I. `trace`
+is the energy of an effect for an amplitude of 1; it scales the grid of s². In array shapes, p is the number of columns (one
+amplitude each), and E of points of a grid of s².
 """
 
 from __future__ import annotations
@@ -63,7 +68,8 @@ def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
 
 
 def by_energy(gram: Array, score: Array, trace: float | None = None) -> Array:
-    """Computes the log Bayes factor at each of the E points of the grid of s², shape (…, E)."""
+    """Computes the log Bayes factor at each of the E points of the grid of s², shape (…, E). `gram`: array of shape (…, p, p).
+    `score`: array of shape (…, p). `trace`: the same as in `log_bayes_factors`."""
     values, vectors = np.linalg.eigh(gram)
     along = np.einsum("...ji,...j->...i", vectors, score) ** 2
     return from_eigen(np.maximum(values, 0.0), along, trace)
@@ -71,7 +77,8 @@ def by_energy(gram: Array, score: Array, trace: float | None = None) -> Array:
 
 def from_eigen(values: Array, along: Array, trace: float | None = None) -> Array:
     """Computes the log Bayes factor at each of the E points of the grid of s², shape (…, E). `values`: array of shape (…, p),
-    eigenvalues of the Gram matrix. `along`: array of shape (…, p), squared scores along its eigenvectors."""
+    eigenvalues of the Gram matrix. `along`: array of shape (…, p), squared scores along its eigenvectors. `trace`: the same as in
+    `log_bayes_factors`; the default is the sum of the first stacked eigenvalues."""
     if trace is None:
         trace = float(values.reshape(-1, values.shape[-1])[0].sum())
     s2 = ENERGIES[:, None] / max(trace, 1e-300)
@@ -88,13 +95,14 @@ def gaussian(grown: Array, gain: Array) -> Array:
     """Computes the log Bayes factor of amplitudes θ with the prior N(0, s²·D), shape (…). The energy of the amplitudes is not
     restricted.
 
-    `grown`: array of shape (…, p): 1 + s²·λ for each eigenvalue λ of the Gram matrix. `gain`: array of shape (…, p): s² multiplied
+    `grown`: array of shape (…, p), 1 + s²·μ for each eigenvalue μ of the Gram matrix. `gain`: array of shape (…, p), s² multiplied
     by the squared score and divided by `grown`."""
     return np.asarray(0.5 * (gain - np.log(grown)).sum(-1))
 
 
 def strong_enough(mean: Array, variance: Array) -> Array:
-    """Returns the log probability that an energy with the given mean and variance is at least `WEAKEST`."""
+    """Returns the log probability that an energy with the given mean and variance is at least `WEAKEST`. The arrays are evaluated
+    element by element."""
     from scipy.special import gammaincc
 
     variance = np.maximum(variance, 1e-300)
@@ -104,8 +112,8 @@ def strong_enough(mean: Array, variance: Array) -> Array:
 
 
 def held_log_bayes_factor(gram: Array, score: Array) -> Array:
-    """Computes the log Bayes factor of an amplitude with the prior N(1, `GAIN`²). `gram`: the information about the amplitude.
-    `score`: its score. All arrays have the shape (…)."""
+    """Computes the log Bayes factor of an amplitude with the prior N(1, `GAIN`²). `gram`: energy of the amplitude's column.
+    `score`: product of this column with the data. All arrays have the shape (…)."""
     precision = 1 / GAIN**2
     grown = gram + precision
     return np.asarray(0.5 * ((score + precision) ** 2 / grown - precision - np.log(grown / precision)))
@@ -113,8 +121,8 @@ def held_log_bayes_factor(gram: Array, score: Array) -> Array:
 
 def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) -> float:
     """Computes the change of the log Bayes factor if the amplitudes with the indices `held` have the prior N(1, `GAIN`²) instead of
-    N(0, s²). `scales`: array of shape (p,), s² of each amplitude. The change is the log ratio of the posterior to the prior density
-    at amplitude 1 (Dickey, Ann. Math. Stat. 42, 1971)."""
+    N(0, s²). `gram`: array of shape (p, p). `score`: array of shape (p,). `scales`: array of shape (p,), s² of each amplitude. The
+    change is the log ratio of the posterior to the prior density at amplitude 1 (Dickey, Ann. Math. Stat. 42, 1971)."""
     at = np.asarray(held)
     covariance = np.linalg.inv(gram + np.diag(1 / scales))
     away = 1 - (covariance @ score)[at]
@@ -146,8 +154,8 @@ def best_amplitudes(
 
 
 def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
-    """Returns, for each of p columns, the most probable s² of the effect to which the column belongs. The search varies the s² of
-    one effect at a time and keeps the s² of the other effects fixed."""
+    """Returns, for each column, the most probable s² of the effect to which the column belongs, shape (p,). The arguments are those
+    of `best_amplitudes`. The search varies the s² of one effect at a time and keeps the s² of the other effects fixed."""
     ends = np.cumsum(widths or (len(score),))
     parts = [slice(end - width, end) for end, width in zip(ends, widths or (len(score),), strict=True)]
     traces = [max(float(np.trace(gram[part, part])), 1e-300) for part in parts]
@@ -167,7 +175,8 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
     """Returns the log Bayes factor of the hypothesis that two effects act together. The first effect has the columns 0 … first − 1,
     and the second effect has the remaining columns. Each effect has a separate s², averaged over the grid `energies`, and at least
-    the strength `WEAKEST`."""
+    the strength `WEAKEST`. `gram`: array of shape (p, p). `score`: array of shape (p,). `traces`: trace of each of the two
+    effects."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))
@@ -178,8 +187,9 @@ def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
     """Computes the log Bayes factor for the hypothesis that several effects act together. Each effect has a separate s², averaged
-    over the grid `energies`, and at least the strength `WEAKEST`. `near`: array of shape (p,), the values of s² at which the search
-    for the most probable s² starts.
+    over the grid `energies`, and at least the strength `WEAKEST`. `gram`: array of shape (p, p). `score`: array of shape (p,).
+    `widths`, `traces`: number of columns and trace of each effect. `near`: array of shape (p,), the values of s² at which the
+    search for the most probable s² starts.
 
     A grid over all s² together would have one dimension for each effect. Instead, the most probable s² are found for one effect at
     a time. Then the average over the s² of one effect is computed, with the other s² fixed at their most probable values. The
@@ -203,8 +213,8 @@ def set_log_bayes_factor(
 
 
 def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
-    """Computes the log Bayes factor of Gaussian amplitudes with fixed s² (p,), for stacked arrays gram (G, p, p) and score (G, p).
-    Returns an array of shape (G,)."""
+    """Computes the log Bayes factor of Gaussian amplitudes with fixed s², for stacked arrays gram (…, p, p) and score (…, p).
+    Returns an array of shape (…). `scales`: array of shape (p,), s² of each amplitude."""
     root = np.sqrt(scales)
     inner = np.eye(len(root)) + root[:, None] * gram * root
     along = root * score
@@ -213,8 +223,9 @@ def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
 
 
 def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
-    """Returns the log Bayes factor (E,) of several effects at E combinations of their s² (E, effects). It includes the logarithm of
-    the probability that each effect has at least the strength `WEAKEST`. `widths`: number of columns of each effect."""
+    """Returns the log Bayes factor of several effects at E combinations of their s², shape (E,). It includes the logarithm of the
+    probability that each effect has at least the strength `WEAKEST`. `gram`: array of shape (p, p). `score`: array of shape (p,).
+    `widths`: number of columns of each effect. `scales`: array of shape (E, effects), the combinations."""
     p = len(score)
     root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]
@@ -239,7 +250,8 @@ def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) 
 
 
 def log_mean_exp(values: Array, axis: int, weights: Array | None = None) -> Array:
-    """Returns the logarithm of the mean of exp(values) along an axis; `weights`, if given, must have the sum 1."""
+    """Returns the logarithm of the mean of exp(values) along an axis; the result has the shape of `values` without this axis.
+    `weights`, if given, must have the sum 1."""
     top = np.max(values, axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     grown = np.exp(values - top)

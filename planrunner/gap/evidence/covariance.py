@@ -11,6 +11,8 @@ processes whose correlation times are two octaves apart (Keshner, "1/f noise", P
 covariance q²·min(t, t'). The averages of both covariances over the segments have a closed form. A change of a random walk within a
 segment continues in all later segments. Therefore, the coefficients of a random walk within a segment are not independent of the
 means of later segments.
+
+In array shapes, S is the number of segments and M of coefficients of a channel.
 """
 
 from __future__ import annotations
@@ -143,7 +145,8 @@ def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
     function exp(−|t − t'|/τ). Returns an array of shape (S, S).
 
     A segment of length T has the variance 2(x − 1 + e^−x)/x² with x = T/τ. Two disjoint segments have the covariance e^(−gap/τ)·Π(1
-    − e^−x_i)/x_i, where gap is the time between the two segments.
+    − e^−x_i)/x_i, where gap is the time between the two segments. `starts`, `ends`: arrays of shape (S,), start and end times of
+    the segments, s. `tau`: correlation time τ, s.
     """
     lasting = ends - starts
     x = lasting / tau
@@ -162,7 +165,7 @@ def flicker(starts: Array, ends: Array) -> Array:
     Flicker noise has the one-sided density B²/(π·f), and the Allan deviation √(2·ln 2/π)·B = 0.664·B (IEEE Std 952, annex C).
     Flicker noise is represented by a sum of processes of variance v whose correlation times differ by a factor r. Between the
     corner frequencies of the processes, their total density is v/(ln r·f). With v = ln r/π, this density is equal to B²/(π·f) with
-    B = 1.
+    B = 1. `starts`, `ends`: arrays of shape (S,), start and end times of the segments, s.
     """
     level = math.log(OCTAVES[1] / OCTAVES[0]) / math.pi
     total = np.zeros((len(starts), len(starts)))
@@ -176,7 +179,7 @@ def random_walk(starts: Array, ends: Array) -> Array:
     zero at the first start time.
 
     Times are counted from the first start time. The covariance of two disjoint segments is then the middle time of the earlier
-    segment. The variance of a segment of length T is its start time plus T/3.
+    segment. The variance of a segment of length T is its start time plus T/3. `starts`, `ends`: the same as in `flicker`.
     """
     begin = starts - starts[0]
     middles = (begin + ends - starts[0]) / 2
@@ -296,5 +299,6 @@ def lasting(observed: Observed) -> tuple[Array, Array]:
 
 
 def flicker_spectrum(frequency: Array) -> Array:
-    """Returns the one-sided spectral density [1/Hz] of the noise of `flicker` at frequencies [Hz] above zero."""
+    """Returns the one-sided spectral density [1/Hz] of the noise of `flicker` at frequencies [Hz] above zero. The result has the
+    shape of `frequency`."""
     return np.asarray(1 / (math.pi * frequency))

@@ -4,6 +4,8 @@ declarations.
 A declaration can be wrong. With probability 0.8, the declaration is assumed to be correct within a few per cent. Otherwise, the
 declaration is wrong by up to a factor of two. This factor is either the same in all channels or different in each triad. Only
 larger deviations, or deviations of the gyros alone, are evidence of excess noise.
+
+In array shapes, K is the number of channels.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from planrunner.gap.evidence.rounding import is_coarse
 from planrunner.observation.lattice import COARSER, coarsening, holds, seen_levels, undeclared_step
 
 HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
-WRONG = 0.2  # chance that it is off by up to a factor of two
+WRONG = 0.2  # probability that a declaration is wrong by up to a factor of two
 EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))
 """Possible excesses of the white noise: the logarithms of the ratio of the true to the declared noise. The energy of an excess is
 (logarithm ÷ `HOLDS`)². This energy is log-uniform, like the energy of every effect."""
@@ -53,9 +55,13 @@ declared, but with a coarser count."""
 
 def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array) -> dict[tuple[Level, Level], float]:
     """Computes the log density of the measured white levels for every combination of two noise states: one of the gyros and one of
-    the accelerometers. A triad whose noise is too small to dither the counts has no white level to compare. The level of this triad
-    is then assumed to deviate from its declaration as much as the level of the other triad. If neither triad can be compared, both
-    levels are assumed to be as declared.
+    the accelerometers. `white`: array of shape (K,) in SI units, measured standard deviation of a single sample due to white noise.
+    `degrees`: array of shape (K,), degrees of freedom of these levels. `steps`: array of shape (K,) in SI units, size of one count
+    (`counts`).
+
+    A triad whose noise is too small to dither the counts has no white level to compare. The level of this triad is then assumed to
+    deviate from its declaration as much as the level of the other triad. If neither triad can be compared, both levels are assumed
+    to be as declared.
     """
     declared = [channel.resolution or step for channel, step in zip(observed.channels, steps, strict=True)]
     (plain, sigma), (counted, _) = (_excess(observed, white, degrees, each) for each in (declared, steps))
@@ -93,7 +99,9 @@ def _other(kind: str) -> str:
 
 
 def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[float] | Array) -> bool:
-    """Returns True if, in any channel of the triad, both the declared and the measured noise are too small to dither the counts."""
+    """Returns True if, in any channel of the triad, both the declared and the measured noise are too small to dither the counts.
+    `white`: array of shape (K,), measured standard deviation of a single sample due to white noise, SI. `counts_`: size of a count
+    in each channel, SI."""
     for index in observed.of_kind(kind):
         declared = observed.channels[index].sample_variance(observed.sample_rate, float(counts_[index]))
         if is_coarse(max(float(white[index]), np.sqrt(declared)), counts_[index]):
@@ -104,7 +112,9 @@ def _rounded(observed: Observed, kind: str, white: Array, counts_: Sequence[floa
 def _excess(
     observed: Observed, white: Array, degrees: Array, steps: Sequence[float] | Array
 ) -> tuple[dict[str, float], float]:
-    """Returns the logarithm of (measured ÷ declared) white level for each triad, and the standard deviation of this logarithm."""
+    """Returns the logarithm of (measured ÷ declared) white level for each triad, and the standard deviation of this logarithm.
+    `white`, `degrees`: the same as in `log_densities`. `steps`: size of a count in each channel, SI; the declared level includes
+    its rounding error."""
     found, sigma = {}, 0.01
     for kind in ("gyro", "accel"):
         ratios = []
@@ -121,7 +131,7 @@ def _excess(
 
 def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
     """Returns, for each channel, the log Bayes factor of two hypotheses, shape (K,). In the first, the white noise is larger than
-    declared. In the second, the declaration is correct or has a usual error."""
+    declared. In the second, the declaration is correct or has a usual error. `white`, `degrees`: the same as in `log_densities`."""
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:
@@ -137,8 +147,9 @@ def _normal(x: Array | float, sigma: float) -> Array:
 
 
 def _within_two(x: Array | float) -> Array:
-    """Returns the value at x of a probability density. The density is uniform between −ln 2 and ln 2, which is a factor of two in
-    either direction. The edges of the density are smoothed over 10 %. Outside the edges, the density has a small constant value."""
+    """Returns the value at x of a probability density, element by element. The density is uniform between −ln 2 and ln 2, which is
+    a factor of two in either direction. The edges of the density are smoothed over 10 %. Outside the edges, the density has a small
+    constant value."""
     edge = 0.1
     top = 1 / (1 + np.exp(np.minimum((np.abs(x) - np.log(2.0)) / (edge / 4), 500.0)))
     return np.asarray(top / (2 * np.log(2.0)) + 1e-9)
@@ -146,7 +157,7 @@ def _within_two(x: Array | float) -> Array:
 
 def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
     """Returns the log density of the excesses of the triads if no effect acts and only the declaration can be wrong. The arrays in
-    `excess` are evaluated element by element."""
+    `excess` are evaluated element by element. `sigma`: standard deviation of an excess due to its measurement."""
     width = float(np.hypot(HOLDS, sigma))
     holds, each = np.ones(()), np.ones(())
     for x in excess.values():
@@ -159,7 +170,7 @@ def _declared(excess: Mapping[str, Array | float], sigma: float) -> Array:
 
 def _density(excess: Mapping[str, float], sigma: float, larger: Sequence[str]) -> float:
     """Returns the log density of the excesses of the triads if effects raise the noise of the triads in `larger`. The declaration
-    of a triad may also be wrong. The effect of each triad in `larger` has its own factor."""
+    of a triad may also be wrong. The effect of each triad in `larger` has its own factor. `sigma`: the same as in `_declared`."""
     shapes = [EXCESS[:, None], EXCESS[None, :]]
     lowered: dict[str, Array | float] = dict(excess)
     for kind, more in zip(larger, shapes, strict=False):

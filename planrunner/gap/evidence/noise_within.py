@@ -9,6 +9,8 @@ lines of interference. Vibration can make the noise differ between segments. By 
 all segments. A description with more parameters is used only if Schwarz's criterion (BIC; Annals of Statistics 6, 1978) prefers it.
 A spectrum that is measured only at rest, or only in motion, is used for all segments if it describes the other segments better than
 white noise.
+
+In array shapes, S is the number of segments, N of samples, K of channels, M of coefficients of a channel, and B of frequency bands.
 """
 
 from __future__ import annotations
@@ -83,7 +85,7 @@ class NoiseWithin:
 
     @property
     def inefficiency(self) -> Array:
-        """Returns, for each of K channels, the number of samples divided by the degrees of freedom of a sum of their squares.
+        """Returns, for each channel, the number of samples divided by the degrees of freedom of a sum of their squares, shape (K,).
         Coloured noise makes this factor larger than 1."""
         return np.asarray(
             (self.weight @ self.spectrum**2 * self.weight.sum() / (self.weight @ self.spectrum) ** 2).max(0)
@@ -171,7 +173,8 @@ class NoiseWithin:
         return found
 
     def of_segment(self, segment: int, frequency: Array) -> Array:
-        """Returns the variance of the noise of a segment at n frequencies [Hz], relative to the white level, shape (n, K)."""
+        """Returns the variance of the noise of a segment at the frequencies (n,) [Hz], relative to the white level, shape (n,
+        K)."""
         return np.asarray(self.level[segment] * self._relative(segment, frequency))
 
     def of_kind(self, kind: int, frequency: float) -> Array:
@@ -186,7 +189,7 @@ class NoiseWithin:
 
     def _of_kind(self, spectra: Array, kind: int, segment: int, frequency: Array) -> Array:
         """Returns the values (n, K) of `spectrum` or `density` at frequencies (n,), as measured at rest (kind 0) or in motion (kind
-        1)."""
+        1). `spectra`: `spectrum` or `density`. `segment`: index of the segment whose attribute `own` applies."""
         place = np.log(np.maximum(frequency, self.frequency[0]))
         logs = np.log(spectra[kind] * self.own[segment])
         return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in logs.T])))
@@ -271,7 +274,8 @@ def _peaks(noise: NoiseWithin, observed: Observed, spectrum: Spectrum, white: Ar
     time T. At rest, its variance is the mean of the squares of these coefficients with the weight sinc²(T·(f − f₀)). In motion, the
     remainder does not contain the harmonic itself, so its neighbours up to the distance 2/T are used instead. If Schwarz's
     criterion prefers a peak to the spectrum of the bands, the peak counts. If the noise is known to be coloured, the number of data
-    in the criterion is the number of these coefficients, otherwise the number of all coefficients.
+    in the criterion is the number of these coefficients, otherwise the number of all coefficients. `white`: array of shape (K,) in
+    SI units, standard deviation of the white noise of a sample.
     """
     from scipy.fft import dct
 
@@ -330,7 +334,8 @@ def _leakage(turns: Array, count: float) -> Array:
 
 def _without_leakage(seen: Array, leakage: Array) -> Array:
     """Computes the densities (B,) for which the cosine transform has the variances `seen` (B,), by iterations of expectation
-    maximisation (Richardson, J. Opt. Soc. Am. 62, 1972)."""
+    maximisation (Richardson, J. Opt. Soc. Am. 62, 1972). `leakage`: array of shape (B, B); its product with the densities is the
+    variance that leaks into each band from the others."""
     found = seen.copy()
     for _ in range(_LEAKAGE_ROUNDS):
         found = np.maximum(found * seen / (found + leakage @ found), _KEPT * seen)
@@ -338,7 +343,8 @@ def _without_leakage(seen: Array, leakage: Array) -> Array:
 
 
 def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) -> Array:
-    """Returns the levels (B,) of the bands, scaled so that the mean over the `upper` bands is 1."""
+    """Returns the levels (B,) of the bands, scaled so that the mean over the `upper` bands is 1. `energy`: array of shape (B,),
+    energy in each band. `count`: array of shape (B,), number of coefficients in each band."""
     found = _carried(energy, count, float(energy.sum() / max(count.sum(), 1e-9)), CARRIED)
     if count[upper].sum() > 0:
         found /= float((found * count)[upper].sum() / count[upper].sum())

@@ -13,6 +13,8 @@ large, the outermost sample also counts as an outlier.
 A step of the signal also causes a large estimated error of a sample. A sample is therefore an outlier only if two conditions hold:
 its segment has few outliers, and no step near the sample explains more of the signal than the outlier does (Tsay, "Outliers, level
 shifts, and variance changes in time series", Journal of Forecasting 7, 1988).
+
+In array shapes, n is the number of samples of a segment, N of all samples, and K of channels.
 """
 
 from __future__ import annotations
@@ -144,13 +146,19 @@ def _diagonal(weight: Array) -> Array:
 
 
 def _left(columns: Array, q: Array) -> Array:
-    """Returns the energies (p,) of columns (n, p) after the part in the span of q has been removed."""
+    """Returns the energies (p,) of columns (n, p) after the part in the span of the orthonormal columns `q` (n, m) has been
+    removed."""
     return np.asarray(np.maximum((columns**2).sum(0) - ((q.T @ columns) ** 2).sum(0), 1e-300))
 
 
 def _step(error: Array, row: int, root: Array, q: Array) -> float:
     """Returns the largest test statistic of a step near a row. This statistic has the same scale as the test statistic of an
-    outlier, so that the two can be compared."""
+    outlier, so that the two can be compared.
+
+    `error`: array of shape (n,), Px of the module's description. `root`: array of shape (n,), inverse standard deviation of each
+    coefficient of the cosine transform. `q`: array of shape (n, m), orthonormal basis of the whitened columns that are fitted
+    (`_solved`).
+    """
     from scipy.fft import dct
 
     count = len(error)

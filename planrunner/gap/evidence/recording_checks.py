@@ -30,8 +30,9 @@ this fraction of its rows is usable."""
 STIRRED = {"gyro": np.radians(1.0), "accel": 0.1 * STANDARD_GRAVITY}
 """A misfit is visible only if the stimulus of a channel scatters over the segments by more than this value [rad/s, m/s²]."""
 MISFIT = 0.5
-"""The nominal model does not fit if its residual exceeds this fraction of the planned input, or if its matrix differs from the
-identity by more than this value. Scale factors and misalignments do not explain such a difference."""
+"""The nominal model does not fit if its residual exceeds this fraction of the planned input, or if the fitted matrix of scale
+factors and misalignments differs from the identity by more than this value. Usual errors of a sensor do not explain such a
+difference."""
 OTHER_NOISE = 5.0
 """If the noise differs from its declaration by more than this factor, the declaration is wrong or the channel is defective."""
 

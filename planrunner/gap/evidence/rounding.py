@@ -3,6 +3,8 @@ count or more dithers the rounding, so that the rounding errors average out. Wit
 the position of the mean within a count. This error does not average out in repetitions. The scatter of rounded samples does not
 show how small the noise is: readings that alternate between two counts scatter by half a count even if the noise is very small. The
 number of samples at each count does show the size of the noise, because only sufficiently large noise reaches a third count.
+
+In array shapes, K is the number of channels, and S of noise levels.
 """
 
 from __future__ import annotations
@@ -31,7 +33,7 @@ _MOST = 60  # counts that a segment at rest may reach
 def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
     """Returns True if the counts of a channel are so coarse that the noise does not dither the rounding, so that rounding errors do
     not average out. `white`: standard deviation of a rounded sample. The square of `white` includes the variance count²/12 of the
-    rounding."""
+    rounding. `count`: size of one count, in the same unit. The arrays are evaluated element by element."""
     return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))
 
 
@@ -51,7 +53,8 @@ def _left_over(characteristic: Array) -> Array:
 
 
 def _characteristic(sigma: Array | float) -> Array:
-    """Returns the characteristic function of Gaussian noise of `sigma` counts at 2πk, for k in `HARMONICS`."""
+    """Returns the characteristic function of Gaussian noise at 2πk, for the H values of k in `HARMONICS`, shape (…, H). `sigma`:
+    array of shape (…), standard deviations of the noise, in counts."""
     return np.asarray(np.exp(-2 * (np.pi * np.multiply.outer(sigma, HARMONICS)) ** 2))
 
 
@@ -84,7 +87,8 @@ def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> A
 
 def _of_declared(sigma: float) -> Array:
     """Returns the log prior of the noise levels `NOISES`, which are in counts, shape (S,). The prior is concentrated near the
-    declared level; it is uniform if no level is declared."""
+    declared level; it is uniform if no level is declared. `sigma`: declared standard deviation of the noise, in counts; 0 if none
+    is declared."""
     return np.zeros(len(NOISES)) if sigma <= 0 else -0.5 * (np.log(NOISES / sigma) / DOUBT) ** 2
 
 
@@ -172,7 +176,7 @@ def _reading(sigma: float) -> Array:
 
 def _chances(away: Array, sigma: Array | float) -> Array:
     """Returns the probability that a sample is rounded to a certain count. `away`: distance of this count from the true mean, in
-    counts. `sigma`: standard deviation of the noise, in counts."""
+    counts. `sigma`: standard deviation of the noise, in counts. The arrays are evaluated element by element."""
     from scipy.special import ndtr
 
     return np.asarray(ndtr((away + 0.5) / sigma) - ndtr((away - 0.5) / sigma))

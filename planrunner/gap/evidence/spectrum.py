@@ -9,6 +9,9 @@ This part is removed and not used as evidence. If it were kept, it would count a
 Deterministic effects lie in the span of this basis. The remainder of the samples is noise or a tone; the energies of its DCT-II in
 frequency bands describe it. Outliers far outside the noise are replaced by the fit of the basis and counted, because a single
 outlier would affect all coefficients.
+
+In array shapes, N is the number of all samples, n of samples of a segment, M of all coefficients of a channel, m of coefficients of
+a segment, S of segments, K of channels, B of frequency bands, and P of columns.
 """
 
 from __future__ import annotations
@@ -274,7 +277,9 @@ def _robust(
     vectors: Array, samples: Array, smallest: Array, held: NDArray[np.bool_] | None
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Fits the basis robustly. Returns the coefficients (m, K), the samples (n, K) minus the fit, and a mask (n, K) of the samples
-    that are spikes. Spikes and held samples do not enter the fit."""
+    that are spikes. `held`: further samples, as a mask (n, K). Spikes and the samples in `held` do not enter the fit. `vectors`:
+    array of shape (n, m), the basis. `smallest`: array of shape (K,), smallest standard deviation that the residuals of the fit are
+    assumed to have."""
     coefficients = vectors.T @ samples
     spiked = np.zeros(samples.shape, dtype=bool)
     for _ in range(4):

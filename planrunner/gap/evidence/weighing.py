@@ -16,6 +16,9 @@ an independent basis of all nominal columns is computed first, so that the param
 The evidence of a design needs only the eigenvalues of its Gram matrix and the squared scores along the eigenvectors. Both are
 computed from the few rows in which the design is not zero. Let Y be the whitened rows of the design, and B an orthonormal basis of
 the nominal columns. Then the Gram matrix is YᵀY − (BᵀY)ᵀ(BᵀY). The score is Yᵀr, because the residual r has no component along B.
+
+In array shapes, S is the number of segments, M of coefficients of a channel, K of channels, G of settings of the noise, q of
+nominal parameters of a channel, and P of columns.
 """
 
 from __future__ import annotations
@@ -196,8 +199,8 @@ class ChannelWeights:
         self._fit(nominal, spectrum.values[:, channel], jointly=level > 0 or walk > 0)
 
     def _fit(self, nominal: Array, values: Array, jointly: bool) -> None:
-        """Projects the nominal columns (M, q) out of the coefficients (M,). `jointly`: True if the segment means are whitened
-        jointly, because slow noise correlates them."""
+        """Projects the nominal columns (M, q) out of `values` (M,), the coefficients of the data. `jointly`: True if the segment
+        means are whitened jointly, because slow noise correlates them."""
         if jointly:
             self.scale[self._means] = 1.0
             covariance = self._covariance
@@ -259,7 +262,8 @@ class ChannelWeights:
         return made
 
     def refitted(self, nominal: Array, values: Array) -> ChannelWeights:
-        """Returns a copy with other nominal columns (M, q) and other coefficients (M,) of the data, both in SI units."""
+        """Returns a copy with other nominal columns (M, q) and other coefficients of the data (`values`, shape (M,)), both in SI
+        units."""
         made = copy(self)
         made._fit(nominal, values, jointly=self._inverse is not None)
         return made
@@ -345,7 +349,7 @@ class ChannelWeights:
         return out
 
     def unwhiten(self, whitened: Array) -> Array:
-        """Inverts `whiten` for an array of shape (M, n)."""
+        """Inverts `whiten`. `whitened`: array of shape (M, n)."""
         joined = whitened if self._correlation is None else self._correlation.joined(whitened)
         out = joined / self.scale[:, None]
         if self._inverse is not None:
@@ -438,8 +442,8 @@ class _Shared:
 
 
 def _table(part: Array) -> tuple[Array, int]:
-    """Finds the table of samples that contains an array as one of its columns. Returns the table and the index of the column. The
-    signatures of a triad are columns of one table, so they can be projected together."""
+    """Finds the table of samples (N, P) that contains the array `part` (N,) as one of its columns. Returns the table and the index
+    of the column. The signatures of a triad are columns of one table, so they can be projected together."""
     whole = part.base
     if isinstance(whole, np.ndarray) and whole.ndim == 2 and whole.flags.c_contiguous and len(whole) == len(part):
         offset = part.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
@@ -542,7 +546,8 @@ def _of_rows(left: Left, at: NDArray[np.int64]) -> Eigen:
 
 
 def _seen(values: Array, along: Array, largest: float) -> Eigen:
-    """Removes the eigenvalues and squared scores of the directions that the nominal parameters absorb completely. `largest`:
-    largest energy of a column before the projection."""
+    """Removes the eigenvalues and squared scores of the directions that the nominal parameters absorb completely. `values`: array
+    of shape (p,), eigenvalues of the Gram matrix. `along`: array of shape (p,), squared scores. `largest`: largest energy of a
+    column before the projection."""
     seen = values > _NOTHING**2 * largest
     return values[seen], along[seen]

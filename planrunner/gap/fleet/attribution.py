@@ -19,6 +19,9 @@ ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹
 
 Sources that group the runs in the same way cannot be distinguished, for example one device on one bench, or devices with one run
 each. Such sources form one component.
+
+In array shapes, n is the number of runs, C of components, P of points of the grid, Q of points with a noticeable weight, and m of
+parts (groups) of a component.
 """
 
 from __future__ import annotations
@@ -73,8 +76,8 @@ class Estimates:
 
     `values`, `standard_uncertainties`: arrays of shape (n,), in one unit; all are finite, and the uncertainties are positive.
     `groups`: for each source except `COMMON`, the labels (n) of the groups to which the runs belong. `since`: for each source with
-    steps, n texts, one for each run: the moment of the last step of the run's group up to this run, or an empty text if there was
-    no step. After each step, the group counts as a new group.
+    steps (`fleet.changes`), n texts, one for each run: the moment of the last step of the run's group up to this run, or an empty
+    text if there was no step. After each step, the group counts as a new group.
     """
 
     values: Array
@@ -246,8 +249,9 @@ class _Model:
         self._limits = 0.5 * np.log(energies / float((1 / self._variance).sum()))
 
     def _weighed(self, spreads: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns the arrays S (P, n), G^½ (P, m), M (P, m, m) and G^½c (P, m) of the formulas in the module's description, for σ
-        (P, C)."""
+        """Returns the arrays S (P, n), G^½ (P, g), M (P, g, g) and G^½c (P, g) of the formulas in the module's description.
+        `spreads`: array of shape (P, C), P sets of the standard deviations σ of the C chosen components. g counts the groups of
+        these components, except those of a component in which each run forms its own group."""
         s = np.broadcast_to(self._variance, (len(spreads), len(self._y)))
         if self._alone is not None:
             s = s + spreads[:, [self._alone]] ** 2
@@ -259,7 +263,7 @@ class _Model:
         return s, root, inner, root * ((self._y / s) @ self._z)
 
     def log_evidence(self, spreads: Array) -> Array:
-        """Returns the log evidence log p(y | σ), (P,), for σ (P, C)."""
+        """Returns the log evidence log p(y | σ), shape (P,). `spreads`: the same as in `_weighed`."""
         at_once = max(1, _NUMBERS // (1 + self._z.shape[1] ** 2))
         return np.concatenate(
             [self._log_evidence(spreads[first : first + at_once]) for first in range(0, len(spreads), at_once)]
@@ -304,7 +308,8 @@ class _Model:
         return self._grid[2]
 
     def spread(self, component: Component) -> tuple[Array, Array]:
-        """Returns the σ of a component at each point of the grid, and the posterior weight of each point."""
+        """Returns the σ of a component at each of the P points of the grid, and the posterior weight of each point, both of shape
+        (P,)."""
         points, weights, _ = self._grid
         return points[:, self.chosen.index(component)], weights
 
@@ -312,8 +317,8 @@ class _Model:
     def _moments(self) -> tuple[Array, list[Array], list[Array], Array, Array]:
         """Returns the weights (Q,) of the Q points of the grid whose weight is noticeable. For each component, it also returns the
         means (Q, m) and variances (Q, m) of the component's m parts at these points. A part is the contribution of one group of
-        runs, such as all runs of one device. The last two results are the joint mean (Q, M) and covariance (Q, M, M) of the parts
-        of all components, except a component in which each run forms its own group."""
+        runs, such as all runs of one device. The last two results are the joint mean (Q, g) and covariance (Q, g, g) of the parts
+        of all components, with g groups as in `_weighed`."""
         points, weights, _ = self._grid
         kept = weights > _CONSIDERED * weights.max()
         points, weights = points[kept], weights[kept] / weights[kept].sum()
@@ -358,7 +363,7 @@ class _Model:
 
 def _spread(component: Component, having: Sequence[tuple[float, _Model]]) -> tuple[float, tuple[float, float]]:
     """Returns the median of the σ of a component and the limits of its central 95 %, averaged over the models that contain the
-    component."""
+    component. `having`: these models, each with its probability."""
     found = [(p * weights, values) for p, model in having for values, weights in [model.spread(component)]]
     weights, values = np.concatenate([w for w, _ in found]), np.concatenate([v for _, v in found])
     order = np.argsort(values)
@@ -372,7 +377,7 @@ def _parts(
     component: Component, having: Sequence[tuple[float, _Model]], common: Component | None
 ) -> tuple[SourcePart, ...]:
     """Returns the parts of a component, averaged over the models that contain it. `common`: the component of `Source.COMMON`, or
-    None if this is the component itself."""
+    None if this is the component itself. `having`: the same as in `_spread`."""
     m = len(component.labels)
     parts = _averaged([(p, *model.parts(component)) for p, model in having])
     levels: list[Uncertain | None] = [None] * m

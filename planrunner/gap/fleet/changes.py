@@ -167,8 +167,9 @@ def _candidates(given: Estimates, time: Array) -> Iterator[_Candidate]:
 
 
 def _tried(design: Array, y: Array, listed: Sequence[tuple[_Candidate, Array]]) -> Iterator[_Tried]:
-    """Fits every candidate change that is not already a combination of the columns of the design. design (n, m) and y (n,) are
-    weighted with 1/s, where s is the standard uncertainty of the run."""
+    """Fits every candidate change that is not already a combination of the columns of the design. `design` (n, m) and `y` (n,) are
+    weighted with 1/s, where s is the standard uncertainty of the run. `listed`: the candidates, each with its column (n,), weighted
+    in the same way."""
     from scipy.stats import t as student
 
     left, values, _ = np.linalg.svd(design, full_matrices=False)

@@ -1,5 +1,9 @@
 """Evaluates the candidates, that is, the effects that may explain a gap. For each form of every effect (the effect at one value of
-its shape), computes the evidence, and the fraction of the effect's energy that the nominal parameters do not absorb."""
+its shape), computes the evidence, and the fraction of the effect's energy that the nominal parameters do not absorb.
+
+In array shapes, N is the number of samples, K of channels, M of coefficients of a channel, G of settings of the noise, p of columns
+of an effect, and q of nominal parameters of a channel.
+"""
 
 from __future__ import annotations
 
@@ -265,7 +269,7 @@ class Weighing:
 
     def _measure(self, reference: Array, held: NDArray[np.bool_] | None) -> None:
         """Computes the coefficients of the samples after `reference` (N, K) has been subtracted, the coefficients of the nominal
-        columns, and the noise."""
+        columns, and the noise. `held`: the same as in `Weighing`."""
         observed = self.observed
         self.spectrum: Spectrum = spectrum(observed, reference, held)
         level, self.white_degrees = white_level(observed, self.spectrum)
@@ -487,7 +491,8 @@ class Weighing:
 
     def evidence(self, log_bayes: Array, walking: bool = False) -> float:
         """Returns the log evidence of a hypothesis, averaged over the settings of the noise. `log_bayes`: array of shape (G,), log
-        Bayes factor of the hypothesis at each setting."""
+        Bayes factor of the hypothesis at each setting. `walking`: True if a random walk of the gyros acts in addition; the average
+        then covers the settings with a random walk."""
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
@@ -507,7 +512,7 @@ class Weighing:
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
         """Returns posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes. Mean and covariance are averaged over
-        all settings of the noise with a random walk of the gyros, or over all settings without a random walk."""
+        the settings of the noise with a random walk of the gyros if `walking` is True, otherwise over the settings without one."""
         terms = self.base + weighed.log_bayes + self.log_prior[int(walking)]
         share = np.exp(terms - terms.max())
         share /= share.sum()
@@ -589,7 +594,13 @@ class Weighing:
         raw: Sequence[Array],
     ) -> Weighed:
         """Makes one evaluated variant from the columns in the range `part` of all columns. Each setting of the gyros is combined
-        with each setting of the accelerometers."""
+        with each setting of the accelerometers.
+
+        `grams`, `scores`: for the gyros and for the accelerometers, the inner products of the columns with each other and with the
+        data, at each of their settings. `before`: energy of the columns before the nominal parameters are projected out. `first`:
+        for each channel, all columns, whitened and projected, at the first setting. `raw`: for each channel, all columns, not
+        whitened.
+        """
         p = len(variant.columns)
         gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)
         score = (scores["gyro"][:, None, part] + scores["accel"][None, :, part]).reshape(-1, p)

@@ -207,7 +207,7 @@ def _stuck(observed: Observed, index: int) -> bool:
 def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
     """Returns the axis, sign and factor of a channel that agree with its measured gain (r,) along the directions (r, 3) of the
     plan; None if no axis agrees. The declared axis, sign and factor are kept if they fit within the usual scale factors and
-    misalignments."""
+    misalignments. `seen`: these directions. `own`: declared axis of the channel. `kind`: gyro or accel."""
     if float(np.linalg.norm(gain - seen[:, own])) <= MISFIT * float(np.linalg.norm(seen[:, own])):
         known = _factor(gain, seen[:, own], kind)
         if known == 1.0 or known is None:
@@ -228,8 +228,9 @@ def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
 
 
 def _factor(gain: Array, direction: Array, kind: str) -> float | None:
-    """Returns the known factor between two units that agrees with the ratio of a gain to a direction: 1 for an ordinary scale
-    factor, None if no known factor agrees."""
+    """Returns the known factor between two units that agrees with a measured gain (r,) along r directions of the plan: 1 for an
+    ordinary scale factor, None if no known factor agrees. `direction`: array of shape (r,), component of each of these directions
+    along the axis of the channel."""
     size = float(gain @ direction) / float(direction @ direction)
     if size <= 0:
         return None
@@ -280,7 +281,8 @@ def _of_channels(
 
 def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -> list[WrongDeclaration]:
     """Returns the wrong declaration that explains both triads if both show the same wrong axes: a mounting in another orientation,
-    or a left-handed system. Otherwise, the result is empty."""
+    or a left-handed system. Otherwise, the result is empty. `shown`: for gyros and for accelerometers, what the channel of each
+    declared axis shows."""
     matrices = []
     for own in shown.values():
         if len(own) < 3:
@@ -312,7 +314,8 @@ def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -
 
 
 def _rows(matrix: Array) -> list[tuple[str, int, float]]:
-    """Returns three values for each axis: its letter, the index of the axis that it actually measures, and the sign."""
+    """Returns three values for each axis: its letter, the index of the axis that it actually measures, and the sign. `matrix`:
+    array of shape (3, 3), signed permutation."""
     axes = np.abs(matrix).argmax(axis=1)
     return [
         (letter, int(axis), float(matrix[row, axis]))

@@ -14,6 +14,8 @@ order in the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − 
 at which the form of the effect was computed. Each column of E is the change of the effect per change of one parameter, a central
 difference. The step of these differences is one standard uncertainty of each parameter, because the exact derivative of a dead zone
 is infinite at its edge.
+
+In array shapes, M is the number of coefficients of a channel, G of settings of the noise, and q of nominal parameters of a channel.
 """
 
 from __future__ import annotations
@@ -116,7 +118,9 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
     """Evaluates a strong nonlinear effect with its secants at the most probable amplitudes. Secants are columns that replace the
     linear approximation: at given amplitudes, the sum of the columns, each multiplied by its amplitude, is exactly the effect. The
     secants are computed again until the amplitudes no longer change. They have as many parameters as the linear approximation. They
-    are therefore used even if they explain the data no better, and rejected only if they explain the data clearly worse."""
+    are therefore used even if they explain the data no better, and rejected only if they explain the data clearly worse. `usable`:
+    the evaluated form of the effect. `log_bayes`: array of shape (G,), its log Bayes factor. Both are returned, improved if
+    possible."""
     least = float(log_bayes.max()) - WORSE
     for _ in range(_SETTLING):
         (best,) = usable
@@ -136,7 +140,7 @@ def _along_secants(
 ) -> tuple[list[Weighed], Array]:
     """Does the same as `_curved`, for an effect that has a shape. First, the secants (see `_curved`) at the amplitudes of the most
     probable shape are computed. Then the shape is searched again with these secants, and the nominal parameters are fitted together
-    with the effect."""
+    with the effect. `usable`: the evaluated forms. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -160,7 +164,7 @@ def _resettled(
 ) -> tuple[list[Weighed], Array]:
     """Evaluates again a strong effect that acts on the output of the sensor. The nominal parameters are fitted together with the
     effect's best form; they give a new output, at which the effect is evaluated. This is repeated as long as the effect explains
-    more of the gap."""
+    more of the gap. `usable`, `log_bayes`: the same as in `_along_secants`. Both are returned, improved if possible."""
     values: Sequence[Array] | None = None
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
@@ -309,10 +313,10 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
 
 
 def _start(weighing: Weighing, effect: Shaped) -> tuple[Weighed, Sequence[Array] | None]:
-    """Returns the form from which a search starts, and the nominal parameters for which this form was computed. None stands for the
-    parameters that are fitted without any effect. For an effect on the output, the search also tries the parameters of the declared
-    sensor, and uses whichever parameters explain more. The reason is that the fitted scale factors are far too small if the output
-    is limited in most readings."""
+    """Returns the form from which a search starts, and the nominal parameters (q,) of each channel for which this form was
+    computed. None stands for the parameters that are fitted without any effect. For an effect on the output, the search also tries
+    the parameters of the declared sensor, and uses whichever parameters explain more. The reason is that the fitted scale factors
+    are far too small if the output is limited in most readings."""
     starts: list[Sequence[Array] | None] = [None]
     if on_output(effect) is not None:
         starts.append([np.zeros(whole.shape[1]) for whole in weighing.whole])
@@ -521,7 +525,9 @@ def settled(
     amplitude: float = 1.0,
     widths: Sequence[float] = _WIDTHS,
 ) -> list[Array]:
-    """Fits the nominal parameters together with an effect on the output. Returns the values of the parameters of each channel.
+    """Fits the nominal parameters together with an effect on the output. Returns the values (q,) of the parameters of each channel,
+    in magnitudes. `shape`, `amplitude`: the form of the effect and its amplitude. `values`: values of the nominal parameters at
+    which the fit starts.
 
     `values`: values of the nominal parameters at which the fit starts. Repeated fits to the data minus the effect would converge
     slowly: in segments with a limited output, these data follow the scale factor of the preceding fit. Therefore, the fit includes
@@ -581,7 +587,8 @@ def passed_on(
 ) -> list[Array]:
     """Computes how other effects appear after an effect on the output. For example, they do not appear while the output is at a
     limit. Returns, for each channel, the coefficients (M, P) of `columns`, multiplied by the derivative of the output with respect
-    to its nominal value. `seen`: the recording with the nominal output, which contains the other effects."""
+    to its nominal value. `seen`: the recording with the nominal output, which contains the other effects. `shape`: shape of the
+    effect on the output."""
     slopes = _slopes(effect, shape, seen, _steps(weighing))
     passed = [
         replace(

@@ -2,9 +2,12 @@
 "something that the catalogue does not contain". Such a pattern is called a competitor. It is a pattern of the whitened residual, in
 one channel or in a triad. Patterns of the coefficients lie in the span of the basis that describes each segment
 (`evidence.spectrum`); bursts and tones lie outside it (`outside`). Some patterns of the coefficients differ at random from segment
-to segment, or change smoothly with rate, gravity, temperature or time: offsets, scale-like errors, transients, and waveforms per
-turn or per rocking period (`patterns`). Further patterns of the coefficients are a deviation in a single segment, and a bias that
-repeats with an unknown period. The competitors are evaluated like effects, individually and in combination.
+to segment, or change smoothly with rate, gravity, temperature or time: offsets, changes of the scale factor, transients, and
+waveforms per turn or per rocking period (`patterns`). Further patterns of the coefficients are a deviation in a single segment, and
+a bias that repeats with an unknown period. The competitors are evaluated like effects, individually and in combination.
+
+In array shapes, M is the number of coefficients of a channel, K of channels, S of segments, and G of settings of the noise (levels
+of flicker and random walk). A scope is a channel or a triad.
 """
 
 from __future__ import annotations
@@ -106,7 +109,7 @@ def unknown(kinds: Kinds) -> Array:
 
 
 def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
-    """Returns the weights of all channels at one setting of the noise."""
+    """Returns the weights of all channels at the setting of the noise with the index `g`."""
     return [weighing.weights_at(g, channel) for channel in range(len(weighing.weights))]
 
 
@@ -116,7 +119,7 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Arr
 
     Only the nominal parameters connect coefficients of different sorts. Through these parameters, a strong sort influences all
     other sorts. Therefore, the strongest sort is evaluated first, and its coefficients are then removed. These steps are repeated
-    until the remaining sorts are weak.
+    until the remaining sorts are weak. `found`: for each pattern, its log Bayes factor in each scope.
     """
     left, total = _by_sort(found), 0.0
     while True:
@@ -130,7 +133,7 @@ def _several(patterns: _Patterns, channels: list[Left], found: dict[Pattern, Arr
 
 def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
     """Returns the log Bayes factor of each sort. Patterns that consist of several sorts are omitted, because they would count
-    twice."""
+    twice. `found`: the same as in `_several`."""
     sorts: dict[Sort, list[float]] = {}
     for pattern, value in found.items():
         if pattern.sort is not Sort.SEVERAL:
@@ -139,7 +142,8 @@ def _by_sort(found: dict[Pattern, Array]) -> dict[Sort, float]:
 
 
 def _maybe(log_bayes: float) -> float:
-    """Returns the log Bayes factor of a pattern that is present with probability ½."""
+    """Returns the log Bayes factor of a pattern that is present with probability ½. `log_bayes`: its log Bayes factor if it is
+    certainly present."""
     return float(np.logaddexp(log_bayes, 0.0) - np.log(2.0))
 
 
@@ -153,8 +157,8 @@ class _Patterns:
         self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
     def weighed(self, channels: list[Left], among: Container[Sort] | None = None) -> dict[Pattern, Array]:
-        """Returns the log Bayes factor of each pattern in each scope, and the log Bayes factor of a deviation in a single segment
-        of any channel. `among`: the sorts to evaluate, by default all."""
+        """Returns, for each pattern, its log Bayes factor in each scope, shape (scopes,). For a deviation in a single segment, the
+        array has a single value, which covers all channels. `among`: the sorts to evaluate, by default all."""
         found: dict[Pattern, list[float]] = {}
         for pattern, per_channel in self.designs:
             if among is None or pattern.sort in among:
@@ -237,8 +241,8 @@ class Repeating:
         return found
 
     def _edged(self, peaks: NDArray[np.int64], channels: Sequence[Left]) -> float:
-        """Returns the log Bayes factor of a waveform with edges. The waveform is evaluated only at periods near the `peaks`. In the
-        mean over the finer grid, all other periods count with a Bayes factor of zero."""
+        """Returns the log Bayes factor of a waveform with edges. `peaks`: indices of likely periods. The waveform is evaluated only
+        near these periods. In the mean over the finer grid, all other periods count with a Bayes factor of zero."""
         steps = (np.arange(FINER) - (FINER - 1) / 2) / FINER
         near = (self.frequencies[peaks, None] + steps / (4 * self._run)).ravel()
         waves = self.waves(near, EDGED)
@@ -259,7 +263,7 @@ class Repeating:
 
     def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
         """Returns one item for each number n in `counts`: the eigenvalues (F, n) and the squared scores (F, n) of the first n
-        columns at each of F frequencies."""
+        columns at each of F frequencies. `waves`: the columns that `waves` returns."""
         periods = waves.shape[1]
         at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
         size = whitened.shape[1] // periods
@@ -283,8 +287,9 @@ def _evidence(parts: Sequence[Eigen]) -> Array:
 
 
 def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
-    """Returns the coefficients of the cosine transform of exp(iωt), shape (S, orders, P). The time t starts at zero in every
-    segment. `lasting_`: array of shape (S,), durations of the segments; segments of equal duration are computed once."""
+    """Returns the coefficients of the cosine transform of exp(iωt) at P angular frequencies ω, shape (S, orders, P). The time t
+    starts at zero in every segment. `lasting_`: array of shape (S,), durations of the segments, s; segments of equal duration are
+    computed once. `pulses`: array of shape (P,), the angular frequencies ω, rad/s."""
     middles = (np.arange(NODES) + 0.5) / NODES
     cosines = (
         np.cos(np.pi * np.arange(orders)[:, None] * middles)

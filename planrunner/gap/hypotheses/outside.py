@@ -4,8 +4,10 @@ samples minus the components that the coefficients represent.
 A tone keeps its frequency and its phase over the whole run. It is searched in the periodogram of the remainder.
 
 A burst is a window of a few seconds with a shifted bias or with larger noise, at a random time in a run. Every window contains a
-burst with the same small probability. The windows are parts of the remainder. Therefore, a part of each burst is missing. A
-deviation that appears in most windows of segments of equal length is slow noise, not a burst.
+burst with the same small probability. The windows are parts of the remainder, so the part of a burst that the coefficients absorb
+is missing. A deviation that appears in most windows of segments of equal length is slow noise, not a burst.
+
+In array shapes, N is the number of all samples, K of channels, F of frequencies, W of windows, and E of energies of a burst.
 """
 
 from __future__ import annotations
@@ -25,8 +27,8 @@ from planrunner.plan.schedule import Rest, Spin
 
 TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
 PLAIN = 8.0
-"""If the log Bayes factor of a tone is above this value, the tone is reported. If the log Bayes factor of one sort of patterns is at
-least this value, the other sorts are evaluated on the remainder."""
+"""If the log Bayes factor of a tone is above this value, the tone is reported. If the log Bayes factor of one sort of patterns is
+at least this value, the coefficients of this sort are removed before the other sorts are evaluated."""
 LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
 BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
 MATERIAL = float(np.expm1(2 * HOLDS))
@@ -99,9 +101,9 @@ class _Scan:
     `chosen`: array of shape (n,), indices of the samples that are used. `weight`: array of shape (n,), number of raw samples that
     each of these samples combines. `samples`: array of shape (n,), the samples in SI units, each divided by the level of the noise
     of its segment. `slot`: array of shape (n,), position of each sample on a time grid of `length` steps of `step` seconds.
-    `level`: array of shape (n,), level of the noise, as a standard deviation relative to `white`. `coloured`: True if the spectrum
-    of the noise is not white. If the run is too long or too short, or if the counts (digital steps) of the channel are coarse, the
-    scan has no samples.
+    `white`: standard deviation of the white noise of a sample, SI. `level`: array of shape (n,), level of the noise, as a standard
+    deviation relative to `white`. `coloured`: True if the spectrum of the noise is not white. If the run is too long or too short,
+    or if the counts (digital steps) of the channel are coarse, the scan has no samples.
     """
 
     chosen: NDArray[np.int64]
@@ -212,7 +214,8 @@ def _without_tone(weighing: Weighing, scan: _Scan, frequency: float, spacing: fl
 def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> float:
     """Searches closely spaced frequencies around `frequency` for the highest power. Returns the distance of the best frequency from
     `frequency`, Hz. The samples (n,) are first shifted to frequency zero. The shifted samples change little within a block of time,
-    so sums over blocks are sufficient."""
+    so sums over blocks are sufficient. `time`: array of shape (n,), times of the samples, s. `spacing`: distance between the
+    frequencies of the periodogram, Hz."""
     place = ((time - time[0]) * (_BLOCKS / (time[-1] - time[0]) * (1 - 1e-9))).astype(np.int64)
     shifted = samples * np.exp(-2j * np.pi * frequency * time)
     sums = np.bincount(place, shifted.real, _BLOCKS) + 1j * np.bincount(place, shifted.imag, _BLOCKS)
@@ -222,8 +225,9 @@ def _highest(time: Array, samples: Array, frequency: float, spacing: float) -> f
 
 
 def _local_level(power: Array) -> Array:
-    """Returns the level of coloured noise in a periodogram (F,), shape (F,). The level is interpolated linearly, in logarithms,
-    between medians over blocks. A line does not raise the median of its block."""
+    """Returns the level of coloured noise at each frequency of a periodogram, shape (F,). `power`: array of shape (F,), power at
+    each frequency. The level is interpolated linearly, in logarithms, between medians over blocks. A line does not raise the median
+    of its block."""
     blocks = np.array_split(power, max(len(power) // BLOCK, 1))
     middles = np.cumsum([len(block) for block in blocks]) - [len(block) / 2 for block in blocks]
     levels = [np.log(np.median(block) / np.log(2.0) + 1e-300) for block in blocks]
@@ -287,7 +291,7 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
 def _of_short_windows(weighing: Weighing, both: tuple[Array, Array], within: Mapping[int, Array]) -> Array:
     """Returns the overdispersion (K,) of the energies of the shortest windows. Noise with many small values and a few large ones
     has a large overdispersion. The short windows are numerous, so they show the overdispersion more precisely than longer windows.
-    `both`: the same as in `_evidence`."""
+    `both`: the same as in `_evidence`. `within`: the same as in `_windows`."""
     windows = _windows(weighing, within, FEWEST, 0)
     if windows is None:
         return np.ones(len(weighing.white))
@@ -295,7 +299,7 @@ def _of_short_windows(weighing: Weighing, both: tuple[Array, Array], within: Map
 
 
 def _summed(values: Array) -> Array:
-    """Returns the cumulative sums of the samples, shape (N + 1, K). The first sum is zero."""
+    """Returns the cumulative sums of samples (N, K), shape (N + 1, K). The first sum is zero."""
     out = np.zeros((len(values) + 1, values.shape[1]))
     np.cumsum(values, axis=0, out=out[1:])
     return out
@@ -346,7 +350,8 @@ def _evidence(
 
 def _normalised(both: tuple[Array, Array], windows: _Windows, size: int) -> tuple[Array, Array]:
     """Returns the energies of the mean and of the remaining scatter of each window, each of shape (W, K). The energies are divided
-    by the median energy of the windows in segments of equal length, if this median exceeds the median for white noise."""
+    by the median energy of the windows in segments of equal length, if this median exceeds the median for white noise. `both`: the
+    same as in `_evidence`. `size`: number of samples of a window."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size
@@ -360,10 +365,10 @@ def _normalised(both: tuple[Array, Array], windows: _Windows, size: int) -> tupl
 
 
 def _overdispersion(energy: Array, degrees: float) -> Array:
-    """Returns the overdispersion of the energies (W, K) of windows, shape (K,). The overdispersion is the variance of the energies
-    divided by their variance for white noise, which is 2·degrees. The overdispersion exceeds 1 because the level of real noise
-    always varies a little. The variance is computed from the median absolute deviation, which bursts in a few windows do not
-    increase."""
+    """Returns the overdispersion of the energies of windows, shape (K,). `energy`: array of shape (W, K), energy of each window in
+    each channel. The overdispersion is the variance of the energies divided by their variance for white noise, which is 2·degrees.
+    The overdispersion exceeds 1 because the level of real noise always varies a little. The variance is computed from the median
+    absolute deviation, which bursts in a few windows do not increase. `degrees`: degrees of freedom of each energy."""
     spread = np.median(np.abs(energy - np.median(energy, axis=0)), axis=0) / _DEVIATION
     return np.asarray(spread**2 / (2 * degrees))
 

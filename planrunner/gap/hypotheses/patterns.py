@@ -1,8 +1,10 @@
 """Describes patterns that effects of the catalogue do not cause. The patterns are the possible forms of "something else". They
 refer to the coefficients that describe each segment (`evidence.spectrum`). Each pattern is a design, that is, a set of columns.
 
-The patterns are offsets, scale-like errors, transients and waveforms per turn or per rocking period. Patterns differ from segment
-to segment, or change smoothly with rate, gravity, temperature or time.
+The patterns are offsets, changes of the scale factor, changes within segments (transients), and waveforms per turn or per rocking
+period. Patterns differ from segment to segment, or change smoothly with rate, gravity, temperature or time.
+
+In array shapes, M is the number of coefficients of a channel, and S of segments.
 """
 
 from __future__ import annotations
@@ -156,8 +158,9 @@ def sorts(weighing: Weighing) -> dict[Sort, Rows]:
 def factors(weighing: Weighing) -> Iterator[PatternDesign]:
     """Yields patterns that effects of the catalogue can also follow, with designs like those of `designs`. These patterns are used
     to locate the gap, and they do not count as unknown. For each factor, the pattern has the simplest form. Thus a factor that
-    needs few parameters can prevail over a factor that needs many. A rotation about the vertical does not change the input of an
-    accelerometer. The same rotation changes the input of a gyro, because of the Earth's rate.
+    needs few parameters can prevail over a factor that needs many. For an accelerometer, every orientation of the sensor counts
+    separately. For a gyro, orientations count as equal if gravity has the same direction in the sensor's axes and, at rest, North
+    has the same direction too.
     """
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = range(len(observed))
@@ -232,7 +235,8 @@ def _coarse(values: Array) -> tuple[float, ...]:
 
 
 def _upward(observed: Observed, segment: int) -> Hashable:
-    """Returns a key for the direction of gravity in the sensor's axes and, at rest, also for the direction of North."""
+    """Returns a key for the direction of gravity in the sensor's axes and, at rest, also for the direction of North. `segment`:
+    index of the segment."""
     first = int(observed.bounds[segment])
     still = isinstance(observed.motions[segment], Rest)
     north = observed.attitude[segment][:, 1] if still else np.zeros(3)
@@ -258,7 +262,8 @@ def _speed(motion: Motion) -> str:
 
 
 def _state(observed: Observed, segment: int, fast: bool = True) -> str:
-    """Returns a key for the kind of motion of the table, the sensor axis about which it turns, and (if `fast`) its rate."""
+    """Returns a key for the kind of motion of the table, the sensor axis about which it turns, and (if `fast`) its rate. `segment`:
+    index of the segment."""
     motion, first = observed.motions[segment], int(observed.bounds[segment])
     axis = _coarse(observed.table_axis[first])
     if isinstance(motion, Spin):
@@ -267,8 +272,9 @@ def _state(observed: Observed, segment: int, fast: bool = True) -> str:
 
 
 def _smooth(values: Array, most: int = SMOOTH_ORDERS, fading: float = 1.0) -> Array:
-    """Returns smooth functions of a coordinate, shape (S, at most `most`). The functions are cosines, of orders 1 to `most`, of the
-    position of the coordinate within its range. Each order has the weight 1/order^fading."""
+    """Returns smooth functions of a coordinate, such as the temperature, shape (S, at most `most`). `values`: array of shape (S,),
+    coordinate of each segment. The functions are cosines, of orders 1 to `most`, of the position of the coordinate within its
+    range. Each order has the weight 1/order^fading."""
     span = float(np.ptp(values))
     if span <= 0:
         return np.zeros((len(values), 0))
@@ -285,7 +291,8 @@ def _changing(observed: Observed) -> Rows:
 
 
 def _monomials(direction: Array) -> Array:
-    """Returns the monomials of degrees 2 to 4 of the components of the direction of gravity."""
+    """Returns the monomials of degrees 2 to 4 of the components of the direction of gravity, shape (S, monomials). `direction`:
+    array of shape (S, 3)."""
     columns = [
         direction[:, 0] ** a * direction[:, 1] ** b * direction[:, 2] ** (d - a - b)
         for d in (2, 3, 4)
@@ -296,8 +303,9 @@ def _monomials(direction: Array) -> Array:
 
 
 def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
-    """Returns columns for the cosine and sine of a harmonic. The amplitude of the harmonic is the same in all segments,
-    proportional to the rate, or proportional to the square of the rate."""
+    """Returns columns (M, 6) for the cosine and sine of a harmonic. The amplitude of the harmonic is the same in all segments,
+    proportional to the rate, or proportional to the square of the rate. `rows`: array of shape (M,), True for the coefficients of
+    the harmonic."""
     observed, spectrum = weighing.observed, weighing.spectrum
     if not rows.any():
         return np.zeros((len(rows), 0))
