@@ -257,8 +257,8 @@ class _Runs:
         self.bends += max(len(values) - 2, 0)
 
     def add_changing(self, values: Array, rows: Numbered, times: Array, last: _Last | None) -> None:
-        """Adds the next samples, of which each differs from the previous one. Unlike for `add`, they do not begin with the last
-        sample of the previous call."""
+        """Adds the next samples, each of which differs from the sample before it. Unlike the samples passed to `add`, they do not
+        begin with the last sample of the previous call."""
         if last is not None:
             if self.length >= RUN:
                 two = np.array([last.value, values[0]])

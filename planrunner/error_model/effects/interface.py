@@ -175,7 +175,7 @@ def effect_named(name: str) -> Effect:
 
 
 def shown_by(effect: Effect) -> str:
-    """Describes the segments that determine an effect; empty if the effect states none."""
+    """Returns a description of the segments that determine an effect; the text is empty if the effect names no segments."""
     return effect.shown_by if isinstance(effect, Explained) else ""
 
 
