@@ -595,11 +595,12 @@ class Screening:
             self._note(k, window, int(group[0]), int(group[-1]) + 1)
 
     def _changes_around(self, x: Array, changes: Array, places: RowNumbers, noise: float) -> Array:
-        """Returns the mean change from sample to sample around each of the samples x[places]. In a segment of turns and stops, the
-        mean is taken over a short time. A change to a single sample and back again is subtracted, because it is not part of a turn.
-        Changes on one side of a sample do not count if they belong to a turn. Changes belong to a turn if the samples on the other
-        side, and the next two samples on this side, lie on one level. `x`: array of shape (n,). `changes`: array of shape (n - 1,),
-        absolute differences of x. `noise`: largest distance from a level that noise can cause."""
+        """Returns a typical change from sample to sample around each of the samples x[places]: the mean of the changes. In a
+        segment of turns and stops, the mean is taken over a short time, and a change to a single sample and back again is
+        subtracted, because it is not part of a turn. A turn on one side of a sample must not count: if the samples on the other
+        side, and the next two samples on this side, lie on one level, the largest change among these samples is used if it is
+        smaller than the mean. `x`: array of shape (n,). `changes`: array of shape (n - 1,), absolute differences of x. `noise`:
+        largest distance from a level that noise can cause."""
         padded = np.append(changes, changes[-1])
         if not self.stopping:
             return np.asarray(_mean_around(padded, _FAR)[places])
@@ -802,10 +803,10 @@ def _is_rough(values: Array) -> bool:
 
 
 def _changes_before(x: Array, size: int, places: RowNumbers, noise: float) -> Array:
-    """Returns, for each of the samples x[places], the largest change from sample to sample among the `size` samples before it. The
-    result is finite only if these samples and the next two are within the distance `noise` of one level. Otherwise, and near the
-    ends, it is infinity. The condition excludes the ripple that a filter causes next to a turn, because the ripple does not keep a
-    level. `x`: array of shape (n,)."""
+    """Returns, for each of the samples x[places], the largest change from sample to sample among the `size` samples before it and
+    the two samples after it; the sample itself is left out. The result is finite only if all these samples are within the distance
+    `noise` of one level. Otherwise, and near the ends, it is infinity. The condition excludes the ripple that a filter causes next
+    to a turn, because the ripple does not keep a level. `x`: array of shape (n,)."""
     found = np.full(len(places), np.inf)
     inner = np.flatnonzero((places >= size) & (places < len(x) - 2))
     others = x[places[inner, None] + np.append(np.arange(-size, 0), (1, 2))]
