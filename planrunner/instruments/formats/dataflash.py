@@ -28,7 +28,7 @@ MAX_LOG = 1_000_000_000
 MAX_HELD = 60_000_000
 """Maximum number of numbers in the messages that are read. These numbers are kept in memory."""
 BINARY = b"\xa3\x95\x80"
-"""First bytes of a binary log. They begin the message that describes the form of all descriptions."""
+"""First bytes of a binary log: the start of a message FMT, which describes the fields of one kind of message."""
 TEXT = rb"FMT,\s*128,\s*89,"
 _NUMBERS = "bBhHiIfdcCeELMqQ"
 """Letters for the types of numeric fields in the descriptions of the messages."""

@@ -209,7 +209,7 @@ class _Step(Protocol):
     """A step of decoding."""
 
     least: int
-    """Smallest number of bytes that the step passes."""
+    """Smallest number of bytes that the step decodes or skips."""
 
     def read(self, body: MessageBytes, position: int, values: list[float]) -> int:
         """Adds the numbers that are wanted to `values`, and returns the position of the next step. Raises `struct.error` or
