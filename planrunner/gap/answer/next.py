@@ -621,8 +621,8 @@ def _shortened(
     seconds: Seconds,
 ) -> tuple[list[list[Foreseen]], list[float], list[float]]:
     """Shortens the list of moves, and returns the remaining moves with their gains and costs. A move is one segment or a bundle of
-    segments. The shorter list contains the moves with the largest gain and with the largest gain per second, and bundles of the
-    best moves at each temperature.
+    segments. The shorter list contains the moves with the largest gain and with the largest gain per second, and the best moves at
+    each temperature, individually and as a bundle.
 
     `running`: the moves. `gains`: reduction of the expected loss by each move. `costs`: test time of each move, s. `size`: number
     of all columns. `last`: the segment before the moves, None if there is none.
