@@ -596,10 +596,10 @@ class Weighing:
         """Makes one evaluated variant from the columns in the range `part` of all columns. Each setting of the gyros is combined
         with each setting of the accelerometers.
 
-        `grams`, `scores`: for the gyros and for the accelerometers, the inner products of the columns with each other and with the
-        data, at each of their settings. `before`: energy of the columns before the nominal parameters are projected out. `first`:
-        for each channel, all columns, whitened and projected, at the first setting. `raw`: for each channel, all columns, not
-        whitened.
+        `grams`: for the gyros and for the accelerometers, the inner products of the variant's columns with each other, at each of
+        their settings. `scores`: the inner products of all columns with the data, in the same way. `before`: energy of the columns
+        before the nominal parameters are projected out. `first`: for each channel, all columns, whitened and projected, at the
+        first setting. `raw`: for each channel, all columns, not whitened.
         """
         p = len(variant.columns)
         gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)

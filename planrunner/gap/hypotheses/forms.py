@@ -138,9 +138,10 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
 def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
-    """Does the same as `_curved`, for an effect that has a shape. First, the secants (see `_curved`) at the amplitudes of the most
-    probable shape are computed. Then the shape is searched again with these secants, and the nominal parameters are fitted together
-    with the effect. `usable`: the evaluated forms. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape."""
+    """Does the same as `_curved`, for an effect that has a shape. First, the secants at the amplitudes of the most probable shape
+    are computed, and the nominal parameters are fitted to the data minus this effect. Then the shape is searched again with these
+    secants, at the output that these parameters give. This is repeated as long as the evidence increases. `usable`: the evaluated
+    forms. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])
