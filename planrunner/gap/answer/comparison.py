@@ -118,9 +118,10 @@ class _Reduced:
     """Contains a recording or simulation that was reduced to coefficients.
 
     `values`: array of shape (M, K) in SI units, the coefficients, each scaled so that it is a root mean square over its segment.
-    `counts`: array of shape (M,), number of samples in the segment of each coefficient. `rows`: the rows of each segment that is compared,
-    by label; the first row is the mean. `columns`: the column of each channel, by name. `white`: array of shape (K,), standard deviation of
-    the white noise of a single sample.
+    `counts`: array of shape (M,), number of samples in the segment of each coefficient. `harmonic`: array of shape (M,), kind of
+    each coefficient, as in `SpectralBasis`. `rows`: the rows of each segment that is compared, by label; the first row is the mean.
+    `columns`: the column of each channel, by name. `white`: array of shape (K,), standard deviation of the white noise of a single
+    sample.
     """
 
     observed: Observed

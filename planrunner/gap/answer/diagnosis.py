@@ -381,7 +381,7 @@ def _parameters(
     after: Weighed | None,
 ) -> list[ParameterEstimate]:
     """Estimates the parameters of the effects that the verdict names. The effects of a set are fitted together. `ratios`: the same
-    as in `estimates.amplitudes`. `after`: the named effects that have a signature; None if there are none."""
+    as in `parameters.amplitudes`. `after`: the named effects that have a signature; None if there are none."""
     listed: list[ParameterEstimate] = []
     walking = any(
         isinstance(e, OutsideCoefficients) and e.outside == "random walk" and e.id in said.effects for e in effects

@@ -225,7 +225,7 @@ def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[C
 
 
 def together(weighing: Weighing, members: Sequence[Member]) -> Weighed:
-    """Evaluates the columns of several effects side by side."""
+    """Evaluates several effects together: their columns form one linear model."""
     return weighing.together([member.form for member in members])
 
 

@@ -138,8 +138,8 @@ def best_amplitudes(
     """Returns the posterior mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their
     magnitudes.
 
-    `widths`: number of columns of each effect if the columns belong to several effects, each with a separate s². `fixed`: columns
-    whose amplitude physics fixes at 1, so that its variance is 0.
+    `gram`: array of shape (p, p). `score`: array of shape (p,). `widths`: number of columns of each effect if the columns belong to
+    several effects, each with a separate s². `fixed`: columns whose amplitude physics fixes at 1, so that its variance is 0.
     """
     p = len(score)
     free = np.delete(np.arange(p), list(fixed))

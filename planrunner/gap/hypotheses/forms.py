@@ -184,8 +184,9 @@ def _resettled(
 def _together(
     weighing: Weighing, effect: Shaped, best: Weighed, values: Sequence[Array] | None, widths: Sequence[float] = _WIDTHS
 ) -> list[Array]:
-    """Returns the nominal parameters, fitted together with an effect of amplitude 1. `best`: the form of the effect. `values`:
-    nominal parameters at which the fit may start; None if no such parameters are known. `widths`: the same as in `settled`."""
+    """Fits the nominal parameters together with an effect of amplitude 1, and returns their values (q,) for each channel, in
+    magnitudes. `best`: the form of the effect. `values`: nominal parameters at which the fit may start; None if no such parameters
+    are known. `widths`: the same as in `settled`."""
     acting, taken = on_output(effect), [raw[:, 0] for raw in best.raw]
     if acting is None or values is None:
         values = weighing.nominal_values(taken)
@@ -530,11 +531,10 @@ def settled(
     in magnitudes. `shape`, `amplitude`: the form of the effect and its amplitude. `values`: values of the nominal parameters at
     which the fit starts.
 
-    `values`: values of the nominal parameters at which the fit starts. Repeated fits to the data minus the effect would converge
-    slowly: in segments with a limited output, these data follow the scale factor of the preceding fit. Therefore, the fit includes
-    the change of the effect with the parameters (Gauss–Newton). The first derivatives are differences over wide steps (`widths`, in
-    standard uncertainties of the output): within a dead zone, the output is zero, and the exact derivative would not show how to
-    leave the dead zone.
+    Repeated fits to the data minus the effect would converge slowly: in segments with a limited output, these data follow the scale
+    factor of the preceding fit. Therefore, the fit includes the change of the effect with the parameters (Gauss–Newton). The first
+    derivatives are differences over wide steps (`widths`, in standard uncertainties of the output): within a dead zone, the output
+    is zero, and the exact derivative would not show how to leave the dead zone.
     """
     found, steps, change = list(values), _steps(weighing), list[Array]()
     for number in range(_FITS):
