@@ -65,6 +65,7 @@ def observed(
     magnetic: Sequence[float] | None = None,
     power_on: float = 0.0,
     free_angle: bool = False,
+    late: Mapping[str, float] | None = None,
 ) -> Observed:
     """Makes the input of a diagnosis from the recorded segments of a run. The segments are put in order of time, because slow noise
     and hysteresis require it.
@@ -105,6 +106,7 @@ def observed(
             power_on,
             None if size is None else int(size[index]),
             free_angle,
+            (late or {}).get(item.label, 0.0),
         )
         for index, item in enumerate(recording)
     ]
@@ -159,6 +161,7 @@ def _part(
     power_on: float,
     size: int | None,
     free_angle: bool,
+    late: float = 0.0,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
     """Reads one segment, without the rows that contain a NaN.
 
@@ -167,7 +170,7 @@ def _part(
     and angle describe it. `limits`: full scale of each output."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
-        return _moved_part(item, motion, site, limits, channels, monitors, power_on, size)
+        return _moved_part(item, motion, site, limits, channels, monitors, power_on, size, late)
     if item.segment.attitude is None:
         raise ObservationError(f"the orientation of segment '{item.label}' is unknown: leave it out of the diagnosis")
     if not isinstance(motion, Rest | Spin | Rock):
@@ -229,16 +232,20 @@ def _moved_part(
     monitors: Monitors,
     power_on: float,
     size: int | None,
+    late: float,
 ) -> tuple[dict[str, Array], Averaged, float, BodyMotion | None]:
     """Does the same as `_part` for a segment whose motion is recorded. Samples at full scale are left out, because the motion is
-    not known there."""
+    not known there. `late`: time [s] by which the channels are late relative to the motion."""
     own = [channel.name for channel in channels if channel.name in motion.channels]
     if own:
         message = f"'{own[0]}' shows the motion of segment '{item.label}', so it cannot be compared with this motion"
         raise ObservationError(message, "leave it out of the outputs, or give the motion by other channels")
     extra = [*motion.channels, *monitors.channels]
     rows = rows_of(item, channels, extra, size, motion.angle or None)
-    time, table = rows.time, rows.table
+    time, table = rows.time, dict(rows.table)
+    shift = round(late / float(np.median(np.diff(time)))) if late else 0
+    for channel in channels:
+        table[channel.name] = np.roll(table[channel.name], -shift)
     if item.expected:
         moved = supposed_course(time, site)
     else:
@@ -251,6 +258,8 @@ def _moved_part(
     part |= monitors.excess_of(item, time, table)
     part["time"] = time - power_on
     over, usable = moved.averaging if size is None else 1, moved.usable
+    usable[len(time) - max(shift, 0) :] = False
+    usable[: max(-shift, 0)] = False
     for name in (*motion.channels, *(channel.name for channel in channels)):
         reached = np.abs(table[name]) >= _REACHED * limits.get(name, np.inf)
         usable &= ~(reached | np.append(reached[1:], False) | np.append(False, reached[:-1]))

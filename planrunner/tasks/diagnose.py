@@ -318,6 +318,7 @@ def corrected_observation(
     """Does the same as `observe`, but also returns the wrong declarations that were corrected."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.gap.hypotheses.declarations import corrected
+    from planrunner.gap.hypotheses.delays import in_step
     from planrunner.observation.refusals import ObservationError
     from planrunner.observation.samples import observed, poses, unknown_orientations
 
@@ -344,25 +345,32 @@ def corrected_observation(
         raise InputError(findings)
     units = segments[0].units
     try:
+        late: list[WrongDeclaration] = []
         if unknown_orientations(segments):
             seen = poses(segments, sound.models.site, sensor, nominal, only=_with_axis(used))
         else:
-            seen = observed(
-                segments,
-                sound.models.site,
-                sensor,
-                only=_with_axis(used),
-                angle_channel=only_channel(units, "angle"),
-                temperature_channel=only_channel(units, "temperature"),
-                supply_channel=only_channel(units, "voltage"),
-                pressure_channel=only_channel(units, "pressure"),
-                magnetic=sound.models.site.magnetic_field,
-                free_angle=True,
-            )
+
+            def read(late: Mapping[str, float]) -> Observed:
+                return observed(
+                    segments,
+                    sound.models.site,
+                    sensor,
+                    only=_with_axis(used),
+                    angle_channel=only_channel(units, "angle"),
+                    temperature_channel=only_channel(units, "temperature"),
+                    supply_channel=only_channel(units, "voltage"),
+                    pressure_channel=only_channel(units, "pressure"),
+                    magnetic=sound.models.site.magnetic_field,
+                    free_angle=True,
+                    late=late,
+                )
+
+            seen, late = in_step(read({}), read, segments[0].statistics.period)
         fixture = sound.bench.fixture
         if fixture is not None and fixture.reach is not None:
             seen = replace(seen, reach=fixture.reach.value)
         seen, wrong = corrected(seen)
+        wrong += late
         for one in wrong:
             findings.warning("gap-declaration", Mark(recorded.where), *_warned(one))
         check_observed(seen, recorded.where, findings)

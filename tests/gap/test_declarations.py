@@ -172,7 +172,7 @@ def test_errors_of_the_sensor_are_no_wrong_declarations() -> None:
     assert [seed for seed in range(60) if _found(record(seed=1000 + seed, fault=_fault(seed)))] == []
 
 
-def _to_and_fro(segments: int = 6, sampling: float = 20.0) -> Observed:
+def to_and_fro(segments: int = 6, sampling: float = 20.0) -> Observed:
     """A gyro triad that an arm swings about the vertical, z up, with an encoder. Every segment holds whole periods, so that its mean rate
     is nearly zero."""
     sound = record(seed=5)
@@ -198,8 +198,8 @@ def _to_and_fro(segments: int = 6, sampling: float = 20.0) -> Observed:
     return replace(shell, values=shell.omega * [1.0, 1.0, 1.005] + 0.3 * DEG + noise)
 
 
-def test_a_sign_is_found_in_a_recorded_motion_to_and_fro() -> None:
-    sound = _to_and_fro()
+def test_a_sign_is_found_in_a_recorded_motionto_and_fro() -> None:
+    sound = to_and_fro()
     assert not _found(sound)
     better, (found,) = corrected(_multiplied(sound, (0, 1, 2), -1.0))
     assert found.effect == "table_sense_reversed"
@@ -208,8 +208,8 @@ def test_a_sign_is_found_in_a_recorded_motion_to_and_fro() -> None:
 
 
 @pytest.mark.parametrize("factor", [DEG, 1 / DEG, 60.0])
-def test_a_unit_is_found_in_a_recorded_motion_to_and_fro(factor: float) -> None:
-    sound = _to_and_fro()
+def test_a_unit_is_found_in_a_recorded_motionto_and_fro(factor: float) -> None:
+    sound = to_and_fro()
     better, (found,) = corrected(_multiplied(sound, (2,), factor))
     assert found.effect == "unit_wrong"
     assert found.parameters == pytest.approx({"excess_gyro_z": factor - 1}, rel=1e-9)
@@ -217,6 +217,6 @@ def test_a_unit_is_found_in_a_recorded_motion_to_and_fro(factor: float) -> None:
 
 
 def test_a_delay_of_a_recorded_motion_is_no_declaration() -> None:
-    sound = _to_and_fro()
+    sound = to_and_fro()
     late = replace(sound, values=np.roll(sound.values, 8, axis=0))  # 0.4 s
     assert not _found(late)

@@ -1,0 +1,195 @@
+"""Finds delays between the outputs of a sensor and the recorded channels that show its motion.
+
+The outputs y of the gyros are compared with the recorded rates ω of an earlier time, y(t) = b + M·ω(t − d), with a free bias b and a
+free matrix M. The delay d of a segment is the one with the smallest sum of squared residuals. A delay that is the same in all segments
+has its cause in the clocks or filters of the two devices. A delay that changes from one segment to the next shows lost samples, or
+clocks that run at different rates.
+
+A small delay is left as it is: the diagnosis removes its response from the samples (decision 83). That response is proportional to
+the angular acceleration only if the delay is much shorter than the changes of the motion. Therefore, large delays are corrected before
+the diagnosis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.recording_checks import STIRRED
+from planrunner.gap.hypotheses.declarations import WrongDeclaration, corrected
+
+LATE = 0.02
+"""Smallest delay that is corrected, s. It must also be at least `PERIODS` sampling periods."""
+PERIODS = 2.0
+LONGEST = 2.0
+"""Longest delay that is searched, s; at most a quarter of the segment."""
+FINEST = 0.005
+"""Smallest step of the search, s."""
+HALVED = 0.5
+"""The sum of the squared residuals must fall to this fraction, at most, if the delay is taken into account."""
+ALIKE = 0.1
+"""A delay explains as much as another one if the sums of their squared residuals differ by at most this fraction of what the delay
+explains. Of such delays, as in a periodic motion, the shortest is the most probable."""
+SURE = 5.0
+"""A delay, or a change of the delay, must exceed its standard uncertainty by this factor."""
+_ROUNDS = 3  # corrections, of which each measures what the one before left
+FEWEST = 30
+"""Smallest number of samples with which the delay of a segment is measured."""
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """Delay of the outputs in one segment, and its standard uncertainty, both in s. A negative delay means that the channels that show
+    the motion are late."""
+
+    seconds: float
+    uncertainty: float
+
+
+def in_step(
+    observed: Observed, read: Callable[[Mapping[str, float]], Observed], period: float
+) -> tuple[Observed, list[WrongDeclaration]]:
+    """Corrects large delays between the outputs and the recorded motion. Returns the corrected recording, and the delay as a wrong
+    declaration. The recording is unchanged if there is no large delay.
+
+    `read`: reads the recording again, with outputs that are shifted by the given delays [s]; its argument has the labels of segments as
+    keys. `period`: sampling period of the recording, s.
+    """
+    least = max(LATE, PERIODS * period)
+    if not observed.moved.any():
+        return observed, []
+    found = delays(corrected(observed)[0], least)
+    if not any(abs(one.seconds) >= max(least, SURE * one.uncertainty) for one in found.values()):
+        return observed, []
+    total = dict.fromkeys(found, 0.0)
+    for _ in range(_ROUNDS):
+        total = {label: late + found[label].seconds for label, late in total.items() if label in found}
+        known = _carried(observed, total)
+        seen = read(known)
+        found = delays(corrected(seen)[0], least)
+        if not found:  # the shifted outputs do not follow the motion
+            return observed, []
+        if set(found) < set(total) or max(abs(one.seconds) for one in found.values()) < period:
+            break
+    u = max(one.uncertainty for one in found.values())
+    whole = {label: Delay(late + (found[label].seconds if label in found else 0.0), u) for label, late in total.items()}
+    return seen, [_declared(observed, whole, period)]
+
+
+def _carried(observed: Observed, known: Mapping[str, float]) -> dict[str, float]:
+    """Returns the delays of all segments with a recorded motion. A segment that does not show its delay gets that of the segment before
+    it; the first segments get that of the first segment that shows it."""
+    late, found = next(iter(known.values())), {}
+    for label, moved in zip(observed.labels, observed.moved, strict=True):
+        if moved:
+            late = found[label] = known.get(label, late)
+    return found
+
+
+def _declared(observed: Observed, whole: Mapping[str, Delay], period: float) -> WrongDeclaration:
+    """Describes delays as a wrong declaration: as lost samples if the outputs are earlier from one segment on, and as a delay otherwise.
+    The outputs are shifted by whole samples, so the standard uncertainty is at least that of a rounding to whole samples."""
+    labels, values = list(whole), np.array([one.seconds for one in whole.values()])
+    u = float(np.hypot(max(one.uncertainty for one in whole.values()), period / np.sqrt(12)))
+    if np.ptp(values) <= max(LATE, SURE * u):
+        late = float(np.median(values))
+        size = f"{abs(late) * 1e3:.4g} ± {u * 1e3:.2g} ms"
+        message = f"the outputs follow the recorded motion {size} {'late' if late > 0 else 'early'}"
+        if late < 0:
+            return WrongDeclaration("reference_latency", {"delay": -late}, message, size)
+        filtered = "a low-pass filter of the sensor, which delays slow motions in the same way"
+        return WrongDeclaration("time_latency", {"delay": late}, message, size, filtered)
+    at = int(np.argmax(np.abs(np.diff(values))))
+    before, after = float(np.median(values[: at + 1])), float(np.median(values[at + 1 :]))
+    size = f"{abs(after - before) * 1e3:.4g} ± {u * np.sqrt(2) * 1e3:.2g} ms"
+    way = "later" if after > before else "earlier"
+    message = f"from '{labels[at + 1]}' on, the outputs follow the recorded motion {size} {way} than before"
+    end = float(observed.time[observed.bounds[observed.labels.index(labels[at]) + 1] - 1])
+    if after > before:
+        hint = f"{size} of the channels that show the motion were lost after {end:.5g} s, or their clock is slower"
+        return WrongDeclaration("reference_latency", {"delay": before - after}, message, hint)
+    return WrongDeclaration(
+        "samples_dropped", {"time": end, "lost": (before - after) * 1e3}, message, f"{size} were lost after {end:.5g} s"
+    )
+
+
+def delays(observed: Observed, least: float) -> dict[str, Delay]:
+    """Measures the delays of the segments with a recorded motion. Returns them by label; segments whose motion does not show the
+    delay are left out. Segments that follow each other get the same delay unless the delay clearly changes, by more than `least`
+    [s]."""
+    each: dict[str, Delay] = {}
+    for label, rows, moved in zip(observed.labels, observed.segments(), observed.moved, strict=True):
+        own = _of_segment(observed, rows) if moved else None
+        if own is not None:
+            each[label] = own
+    return _in_groups(each, least) if len(each) > 1 else {}
+
+
+def _in_groups(each: Mapping[str, Delay], least: float) -> dict[str, Delay]:
+    """Returns the delays, each replaced by the median of the segments that follow each other without a change of the delay."""
+    labels, values = list(each), np.array([one.seconds for one in each.values()])
+    steps = np.abs(np.diff(values))
+    scatter = max(1.4826 * float(np.median(steps)) / np.sqrt(2), min(one.uncertainty for one in each.values()))
+    edges = [0, *(np.flatnonzero(steps > max(least, SURE * np.sqrt(2) * scatter)) + 1).tolist(), len(values)]
+    found: dict[str, Delay] = {}
+    for begin, end in pairwise(edges):
+        one = Delay(float(np.median(values[begin:end])), scatter * float(np.sqrt(np.pi / 2 / (end - begin))))
+        found |= dict.fromkeys(labels[begin:end], one)
+    return found
+
+
+def _of_segment(observed: Observed, rows: slice) -> Delay | None:
+    """Measures the delay of one segment; None if its motion does not show the delay."""
+    from scipy.interpolate import CubicSpline
+    from scipy.optimize import minimize_scalar
+
+    channels = observed.of_kind("gyro")
+    time, rates = observed.time[rows], observed.omega[rows]
+    if not channels or len(time) < FEWEST:
+        return None
+    longest = min(LONGEST, float(np.ptp(time)) / 4)
+    inside = (time > time[0] + longest) & (time < time[-1] - longest)
+    centred = rates - rates.mean(axis=0)
+    _, size, directions = np.linalg.svd(centred, full_matrices=False)
+    seen = directions[size / np.sqrt(len(time)) > STIRRED["gyro"]]
+    axes = [observed.channels[index].axis for index in channels]
+    told = [place for place, axis in enumerate(axes) if len(seen) and np.linalg.norm(seen[:, axis]) > np.sqrt(0.5)]
+    if not told or np.count_nonzero(inside) < FEWEST:
+        return None
+    values = observed.values[rows][inside][:, [channels[place] for place in told]]
+    values = values - values.mean(axis=0)
+    energy = np.maximum((values**2).sum(axis=0), 1e-300)
+    course, own = CubicSpline(time, rates @ seen.T), seen[:, [axes[place] for place in told]]
+
+    def residual(delay: float) -> float:
+        """Returns the mean share of the outputs that the rates do not explain; 1 if the outputs follow them with the wrong sign."""
+        earlier = course(time[inside] - delay)
+        gains, *_ = np.linalg.lstsq(earlier - earlier.mean(axis=0), values, rcond=None)
+        left = values - (earlier - earlier.mean(axis=0)) @ gains
+        right = (gains * own).sum(axis=0) > 0
+        return float(np.where(right, (left**2).sum(axis=0) / energy, 1.0).mean())
+
+    step = max(FINEST, float(np.median(np.diff(time))) / 40)
+    tried = step * np.arange(-np.floor(longest / step), np.floor(longest / step) + 1)
+    shares = np.array([residual(delay) for delay in tried])
+    without = residual(0.0)
+    good = np.flatnonzero(shares <= shares.min() + ALIKE * max(without - shares.min(), 0.0))
+    near = good[np.argmin(np.abs(tried[good]))]
+    for way in (-1, 1):  # down to the bottom
+        while 0 < near < len(tried) - 1 and shares[near + way] < shares[near]:
+            near += way
+    bottom = minimize_scalar(
+        residual, bounds=(tried[near] - step, tried[near] + step), method="bounded", options={"xatol": 1e-6}
+    )
+    delay, share = float(bottom.x), float(bottom.fun)
+    bend = (residual(delay + step) - 2 * share + residual(delay - step)) / step**2
+    if share > HALVED**2 or bend <= 0 or abs(delay) > longest - step:
+        return None
+    if abs(delay) >= LATE and share > HALVED * without:
+        return None
+    count = np.count_nonzero(inside) * len(told)
+    return Delay(delay, float(np.sqrt(2 * share / count / bend)))
