@@ -63,7 +63,7 @@ class ThermometerReadings:
     planned: Array
 
     def celsius(self, values: Array, own: Unit) -> Array:
-        """Returns values of the recording in degC if their unit is `own`."""
+        """Converts values of the recording from the unit `own` to degC."""
         return np.asarray(values * own.factor + own.offset - ZERO_CELSIUS)
 
     def possible(self, own: Unit) -> bool:
@@ -79,8 +79,8 @@ class ThermometerReadings:
         return not (np.mean(wrong) > 0.5 or _contradicts(self.slope(own)))
 
     def slope(self, own: Unit) -> float:
-        """Returns the change of the readings divided by the change of the planned temperature; NaN if the planned temperature
-        changes by less than `LEAST_CHANGE`."""
+        """Returns the change of the readings, taken in the unit `own`, divided by the change of the planned temperature; NaN if the
+        planned temperature changes by less than `LEAST_CHANGE`."""
         known = np.isfinite(self.planned) & np.isfinite(self.mean)
         if not known.any() or np.ptp(self.planned[known]) < LEAST_CHANGE:
             return float("nan")
@@ -88,12 +88,13 @@ class ThermometerReadings:
         return float(away @ self.celsius(self.mean[known], own) / (away @ away))
 
     def credible(self, own: Unit) -> bool:
-        """Returns True if the readings contradict neither the plan nor the temperatures at which sensors are operated."""
+        """Returns True if the readings, taken in the unit `own`, contradict neither the plan nor the temperatures at which sensors
+        are operated."""
         return self.possible(own) and self.usual(own)
 
     def explains(self, own: Unit) -> bool:
-        """Returns True if readings in the unit `own` agree with the plan. A unit with another size of the degree is confirmed only
-        by a change of the planned temperature."""
+        """Returns True if the readings, taken in the unit `own`, agree with the plan. If a degree of this unit has another size
+        than a degree of the declared unit, only a change of the planned temperature can confirm the unit."""
         away, slope = np.abs(self.celsius(self.mean, own) - self.planned), self.slope(own)
         if not self.credible(own) or np.any(away > NEAR):
             return False

@@ -259,8 +259,8 @@ def _clipped(observed: Observed, shape: float, limits: tuple[float, float]) -> V
 
 
 def _mean_of_smaller(noise: Array) -> Callable[[Array], Array]:
-    """Returns a function that computes the mean of min(n, d) over the noise n for each distance d (N,). `noise`: array of shape (Q,),
-    sorted values with the mean 0."""
+    """Returns a function of distances d (N,). For each distance, the function computes the mean of min(n, d) over all noise values
+    n. `noise`: array of shape (Q,), sorted noise values with the mean 0."""
     below = np.arange(1, len(noise) + 1)
     means = (np.cumsum(noise) + (len(noise) - below) * noise) / len(noise)
 

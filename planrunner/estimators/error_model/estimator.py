@@ -440,7 +440,8 @@ def _fitted(
 def _of_reference(one: ModelledOutput, outputs: Sequence[ModelledOutput]) -> tuple[CorrelatedError, ...]:
     """Returns the error that the noise of the channels that show a recorded motion causes in the response of an output. This noise
     makes a fitted response too small, by a fraction between zero and an upper limit (`WithinFit.dilution`). Outputs of the same
-    kind whose scale factors are fitted share the channels; the largest of their limits also applies to the other outputs."""
+    kind share these channels. The fraction is therefore at most the largest limit among the outputs of this kind whose scale
+    factors are fitted."""
     if one.within is None or not one.within.dilution:
         return ()
     limits = [
@@ -712,7 +713,7 @@ def _names(one: ModelledOutput, effect: str) -> bool:
 
 def _diluted(one: FittedOutput, basis: str) -> list[Said]:
     """Returns a warning if the noise of the channels that show a recorded motion may change a coefficient by more than twice its
-    standard uncertainty without this noise."""
+    standard uncertainty. This standard uncertainty does not include the noise of these channels."""
     spreads = np.sqrt(np.diag(one.fit.covariance(basis)))
     for error in one.dilution:
         most = math.sqrt(3) * error.quantity.standard_uncertainty

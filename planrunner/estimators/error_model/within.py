@@ -115,10 +115,9 @@ class WithinFit:
     that white noise explains; 1 if the noise is white. `uneven`: the largest of the ratios that `uneven_ratios` computes for the
     contrasts; 1 if the contributions of the segments to each contrast agree. `dilution`: ratio of the variance of the residuals to
     the variance of the model's output within the segments whose motion comes from the recording; 0 without such segments.
-    `moved_error`: array of shape (n,), standard error of
-    the mean of each segment whose motion comes from the recording, computed from the residuals of the fit; NaN for other segments.
-    `phase`: array of shape (n, k), change of the means, in the output's unit, by each of the k errors that an unknown angle of the
-    table causes.
+    `moved_error`: array of shape (n,), standard error of the mean of each segment whose motion comes from the recording, computed
+    from the residuals of the fit; NaN for other segments. `phase`: array of shape (n, k), change of the means, in the output's
+    unit, by each of the k errors that an unknown angle of the table causes.
     """
 
     amplitudes: tuple[Amplitude, ...]

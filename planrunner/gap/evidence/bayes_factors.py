@@ -51,7 +51,7 @@ def log_bayes_factors(gram: Array, score: Array, trace: float | None = None, fix
 
 
 def _free(gram: Array, score: Array, fixed: Sequence[int]) -> tuple[Array, Array]:
-    """Returns the information and the score of the amplitudes that are not fixed at 1, after the fixed columns have been subtracted
+    """Returns the matrix G and the vector c of the amplitudes that are not fixed at 1, after the fixed columns have been subtracted
     from the data. `gram` (…, p, p), `score` (…, p), `fixed`: the same as in `log_bayes_factors`."""
     if not fixed:
         return gram, score

@@ -120,18 +120,20 @@ class NoiseWithin:
         return found
 
     def without_held(self, observed: Observed, held: NDArray[np.bool_]) -> NoiseWithin:
-        """Returns the noise with another level for segments in which samples (N, K) are replaced by the fit. Replaced samples have no
-        noise, so the measured level of such a segment is too low. The level of a usual segment is used if it is higher."""
+        """Returns a copy with another level for segments in which samples are replaced by the fit. Replaced samples have no noise,
+        so the measured level of such a segment is too low. If the median level of all segments is higher, it is used instead.
+        `held`: array of shape (N, K), True for replaced samples."""
         affected = np.logical_or.reduceat(held, observed.bounds[:-1], axis=0)
         return replace(
             self, level=np.where(affected, np.maximum(self.level, np.median(self.level, axis=0)), self.level)
         )
 
     def of_held(self, observed: Observed, spectrum: Spectrum, held: NDArray[np.bool_]) -> list[Blocks]:
-        """Returns, for each channel, what the covariances increase by because some samples (N, K) are replaced by the fit.
+        """Returns, for each channel, by how much the covariances of the coefficients increase because some samples are replaced by
+        the fit. `held`: array of shape (N, K), True for replaced samples.
 
-        In a segment, only the rows G of the basis V that belong to the other samples determine the coefficients. Their covariance is
-        then σ²·(GᵀG)⁻¹ instead of σ²·I.
+        Let G be the rows of the basis V that belong to the other samples of a segment. Only these samples determine the
+        coefficients. If a sample has the variance σ², the covariance of the coefficients is then σ²·(GᵀG)⁻¹ instead of σ²·I.
         """
         size = [len(basis.frequency) for basis in spectrum.bases]
         found = [Blocks.diagonal(size, np.zeros(len(size))) for _ in observed.channels]

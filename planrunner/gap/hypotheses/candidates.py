@@ -578,7 +578,7 @@ class Weighing:
         ]
 
     def together(self, forms: Sequence[Weighed]) -> Weighed:
-        """Evaluates the columns of several effects side by side. `forms`: one form of each effect."""
+        """Evaluates several effects together: their columns form one linear model. `forms`: one form of each effect."""
         raw = [np.hstack(blocks) for blocks in zip(*(form.raw for form in forms), strict=True)]
         (weighed,) = self.weigh([joined(forms)], raw)
         return weighed
@@ -610,7 +610,7 @@ class Weighing:
 
 
 def joined(forms: Sequence[Weighed]) -> Variant:
-    """Returns the variant that contains the columns of several effects side by side. `forms`: one form of each effect."""
+    """Returns the variant that contains the columns of several effects. `forms`: one form of each effect."""
     columns = [form.variant.columns for form in forms]
     widths = tuple(map(len, columns))
     starts = np.cumsum([0, *widths[:-1]]).tolist()

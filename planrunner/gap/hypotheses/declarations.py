@@ -138,9 +138,9 @@ def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
 
 
 def _parts(observed: Observed) -> list[slice]:
-    """Returns the parts of the recording whose means are fitted: the segments, and in their place the blocks of the segments whose
-    motion is recorded. The blocks have the length that lets most channels be judged; if there are several such lengths, the one with
-    the smallest misfit."""
+    """Returns the parts of the recording whose means are fitted: each segment, or the blocks of a segment whose motion is recorded.
+    The length of the blocks is chosen so that as many channels as possible can be judged; among several such lengths, the one with
+    the smallest misfit is chosen."""
     if not observed.moved.any():
         return observed.segments()
     tried = [_blocks(observed, seconds) for seconds in BLOCKS]

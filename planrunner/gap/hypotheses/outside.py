@@ -127,8 +127,8 @@ class _Periodogram:
     """Contains the periodogram of a scan.
 
     `power`: array of shape (F,), power at each frequency in units of the noise power. The frequencies are the first F multiples of
-    `spacing`, Hz. `frequency`: the frequency with the highest power, Hz. `amplitude`: amplitude of a sine with this power, SI. The
-    last three are NaN if the scan has no samples.
+    `spacing`, Hz. `frequency`: the frequency with the highest power, Hz. `amplitude`: amplitude of a sine with this power, SI.
+    `spacing`, `frequency` and `amplitude` are NaN if the scan has no samples.
     """
 
     power: Array
