@@ -11,8 +11,11 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from planrunner.archive.reading_progress import announced
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.base.findings import InputError
 from planrunner.base.processes import ClusterError, ProcessEndedError
 from planrunner.base.progress import Announce
@@ -33,13 +36,14 @@ from planrunner.estimators.monte_carlo_validation import Chains, linear_chain, v
 from planrunner.estimators.open_flicker import with_flicker_words
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.estimators.screened_estimate import estimated
-from planrunner.instruments.models import SensorModel
-from planrunner.observation.observations import dithered
+from planrunner.instruments.models import NoiseModel, SensorModel
+from planrunner.observation.lattice import undeclared_step
 from planrunner.observation.screening import screened, varies
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
 from planrunner.plan.meaning import channels_of
 from planrunner.plan.model import USUAL, EstimateSpec, Limit, MonteCarloSpec
+from planrunner.plan.schedule import Rest, Spin
 from planrunner.plan.selection import select
 from planrunner.uncertainty.budget import Measured, combine
 
@@ -197,16 +201,35 @@ def coarse_counts(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
 ) -> tuple[Said, ...]:
     """Warns of each channel whose noise, in at least one segment, is too small to average out the rounding to counts. `channels`:
-    the channels to check; if empty, all outputs of the sensor.
+    the channels to check; if empty, all outputs of the sensor. If the bench file declares no resolution for a channel, the count is
+    found from the samples.
 
     In such a channel, equal inputs have equal rounding errors. The rounding errors do not appear in the noise within the segments
     or in the scatter of repetitions.
     """
     found = []
-    for output in sensor.outputs:
-        if not output.noise.resolution or not varies(output) or (channels and output.name not in channels):
+    outputs = [one for one in sensor.outputs if varies(one) and (not channels or one.name in channels)]
+    counts = _observed_counts(segments, [one.name for one in outputs if not one.noise.resolution])
+    for output in outputs:
+        noise = output.noise
+        if not noise.resolution:
+            noise = replace(noise, resolution=counts.get(output.name, 0.0))
+        if not noise.resolution:
+            if _constant(segments, output.name):
+                found.append(
+                    said(
+                        "{output}: within each segment, all samples are equal. The noise is smaller than one count, so rounding errors "
+                        "do not average out, and no scatter shows them. The uncertainties are too small. Record with a finer "
+                        "resolution, or declare `resolution` in the bench file.",
+                        output=output.name,
+                    )
+                )
             continue
-        coarse = [one.label for one in segments if _coarse(one, output.name, sensor)]
+        coarse = [
+            one.label
+            for one in segments
+            if _coarse(one, output.name, noise) and (output.noise.resolution or _changes(one, output.name))
+        ]
         if coarse:
             found.append(
                 said(
@@ -216,19 +239,63 @@ def coarse_counts(
                     "describe the rounding instead of the noise. Record with a finer resolution.",
                     output=output.name,
                     segment=coarse[0],
-                    resolution=output.noise.resolution,
+                    resolution=noise.resolution,
                     unit=output.unit,
                 )
             )
     return tuple(found)
 
 
-def _coarse(recorded: RecordedSegment, channel: str, sensor: SensorModel) -> bool:
+def _coarse(recorded: RecordedSegment, channel: str, noise: NoiseModel) -> bool:
     statistics = recorded.statistics
     if channel not in statistics.channels or statistics.count < 2:
         return False
     place = statistics.of(channel)
-    return not dithered(sensor, channel, float(statistics.covariance[place, place]))
+    return not noise.dithers(float(statistics.covariance[place, place]))
+
+
+def _changes(recorded: RecordedSegment, channel: str) -> bool:
+    """Returns True if the samples of a channel differ within a segment. The screening reports a channel that is stuck."""
+    place = recorded.statistics.of(channel)
+    return bool(recorded.statistics.minimum[place] < recorded.statistics.maximum[place])
+
+
+def _constant(segments: Sequence[RecordedSegment], channel: str) -> bool:
+    """Returns True if the samples of a channel are equal within each segment. Tables of means, and segments of one sample, show no
+    samples."""
+    shown = [
+        one.statistics
+        for one in segments
+        if channel in one.units and one.statistics.count > 1 and not (one.summary or one.expected)
+    ]
+    return len(shown) > 1 and all(not one.covariance[k, k] for one in shown for k in [one.of(channel)])
+
+
+def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str]) -> dict[str, float]:
+    """Finds the counts of channels, in their units, from the first samples of each segment. Channels whose samples are not
+    multiples of a count are left out. Only segments at rest or at a constant rate are used, because their samples repeat. A segment
+    in which a channel keeps one value shows no count."""
+    taken: dict[str, list[Array]] = {}
+    shown = max(_SHOWING // max(len(segments), 1), _LEAST_SHOWING)
+    for one in segments:
+        steady = isinstance(one.segment.motion, Rest | Spin) and not (one.summary or one.expected)
+        names = [name for name in channels if name in one.units and steady]
+        names = [name for name in names if _changes(one, name)]
+        block = next(iter(one.blocks(names)), None) if names else None
+        if block is None:
+            continue
+        for name in names:
+            values = np.asarray(block.channels[name][:shown], dtype=float)
+            taken.setdefault(name, []).append(values[np.isfinite(values)])
+    return {name: undeclared_step(np.concatenate(parts), _FEWEST) for name, parts in taken.items()}
+
+
+_SHOWING = 4096
+"""Number of samples, over all segments, from which the count of a channel is found."""
+_LEAST_SHOWING = 256
+"""Number of samples that are taken from each segment at least."""
+_FEWEST = 2
+"""Number of different values from which a count is found: an output that rarely leaves one value has a coarse count."""
 
 
 GAP_INTERVALS = 5.5

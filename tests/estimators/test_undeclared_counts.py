@@ -1,0 +1,94 @@
+"""Counts that the bench file does not declare: found from the samples, and named if the noise does not average them out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from recorded import from_samples, segment, sensor
+
+from planrunner.archive.recording import RecordedSegment
+from planrunner.estimators.allan.allan_deviation import AllanDeviationParameters
+from planrunner.estimators.analysis import analyse
+from planrunner.estimators.interface import Estimate
+from planrunner.estimators.scale_factor import ScaleFactorParameters
+from planrunner.instruments.models import NoiseModel
+from planrunner.physics.earth import Site
+from planrunner.plan.kinds import Record
+from planrunner.plan.model import EstimateSpec
+from planrunner.plan.schedule import Spin
+
+SITE = Site(math.radians(47.0), 9.807, earth_rate=0.0)
+RATES = (1.0, -1.0, 5.0, -5.0, 20.0, -20.0, 60.0, -60.0)
+
+
+def on_a_table(seed: int, count: float, noise: float = 0.5) -> list[RecordedSegment]:
+    """A gyro of 200 (pulse/s)/(deg/s) with a zero output of 3 pulse/s. count: pulse/s, 0 for none; noise: of a sample, pulse/s."""
+    draw, found = np.random.default_rng(seed), []
+    for number, rate in enumerate(RATES):
+        time = 40.0 * number + np.arange(3000) / 100
+        values = 200.0 * rate + 3.0 + noise * draw.standard_normal(3000)
+        values = np.round(values / count) * count if count else values
+        motion = Spin(math.radians(rate), (0.0, 0.0, 1.0))
+        planned = segment(f"R{number}", np.eye(3), motion, 30.0)
+        found.append(from_samples(planned, time, {"gyro_z": values}, {"gyro_z": "pulse/s"}))
+    return found
+
+
+def made(
+    estimator: str, parameters: Record, recording: list[RecordedSegment], noise: NoiseModel | None = None
+) -> Estimate:
+    spec = {"k": EstimateSpec(estimator=estimator, segments=("R*",), parameters=parameters)}
+    results = analyse(spec, (), recording, SITE, sensor("gyro_z", noise=noise))
+    assert not results.failures
+    return results.estimates["k"]
+
+
+def coarse(found: Estimate) -> list[str]:
+    return [text for text in found.warnings if "counts of" in text or "all samples are equal" in text]
+
+
+def scale_factor(recording: list[RecordedSegment], noise: NoiseModel | None = None) -> Estimate:
+    return made("scale_factor", ScaleFactorParameters(outputs=("gyro_z",)), recording, noise)
+
+
+@pytest.mark.parametrize("count", [1.5, 4.0, 7.0])
+def test_undeclared_counts_are_found_and_named(count: float) -> None:
+    [text] = coarse(scale_factor(on_a_table(1, count)))
+    assert f"too small for counts of {count:.4g} pulse/s" in text
+    [same] = coarse(scale_factor(on_a_table(1, count), NoiseModel(resolution=count)))
+    assert f"too small for counts of {count:.4g} pulse/s" in same
+
+
+def test_segments_of_equal_samples_are_named() -> None:
+    """With counts of 50 pulse/s, the zero output of 3 pulse/s disappears, and no sample scatters."""
+    found = scale_factor(on_a_table(2, 50.0))
+    assert abs(found["F0_gyro_z"].value - 3) > 1e6 * found["F0_gyro_z"].standard_uncertainty
+    [text] = coarse(found)
+    assert "within each segment, all samples are equal" in text
+
+
+@pytest.mark.parametrize("count", [0.0, 0.1, 0.5])
+def test_counts_that_the_noise_averages_out_give_no_warning(count: float) -> None:
+    for seed in range(3, 6):
+        assert not coarse(scale_factor(on_a_table(seed, count)))
+
+
+def test_the_noise_coefficient_of_a_rounded_output_is_doubted() -> None:
+    """The count is six times the noise of a sample: most samples repeat the one before, and N describes the rounding."""
+    draw = np.random.default_rng(7)
+    time = np.arange(60000) / 100
+    values = np.round((0.4 + 0.5 * draw.standard_normal(60000)) / 3.0) * 3.0
+    recording = [from_samples(segment("R", np.eye(3), None, 600.0), time, {"gyro_z": values}, {"gyro_z": "pulse/s"})]
+    [text] = coarse(made("allan_deviation", AllanDeviationParameters(outputs=("gyro_z",)), recording))
+    assert "too small for counts of 3 pulse/s" in text
+
+
+def test_a_stuck_segment_beside_written_digits_is_no_coarse_count() -> None:
+    """The file has four decimals, far below the noise; one segment is at the limit of the output."""
+    recording = on_a_table(8, 1e-4)
+    stuck = recording[6]
+    values = {"gyro_z": np.full(3000, 10000.0)}
+    recording[6] = from_samples(stuck.segment, 240.0 + np.arange(3000) / 100, values, {"gyro_z": "pulse/s"})
+    assert not coarse(scale_factor(recording))
