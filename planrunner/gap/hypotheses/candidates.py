@@ -171,14 +171,16 @@ class Candidate:
         return max(self.variants, key=lambda weighed: float(weighed.log_bayes[self.at]))
 
     @cached_property
-    def stacked(self) -> tuple[Array, ...]:
-        """Returns the whitened, projected columns of all V variants side by side: for each channel, an array (M, V·p)."""
-        return tuple(np.hstack(blocks) for blocks in zip(*(item.by_channel for item in self.variants), strict=True))
+    def stacked(self) -> dict[int, Array]:
+        """Returns the whitened, projected columns of all V variants side by side: for each channel on which the effect acts, an
+        array (M, V·p)."""
+        acting = {channel for item in self.variants for column in item.variant.columns for channel in column.parts}
+        return {channel: np.hstack([item.by_channel[channel] for item in self.variants]) for channel in sorted(acting)}
 
     def across(self, other: Weighed) -> Array:
         """Returns the inner products of the q columns of another variant with the p columns of each of the V variants, at the first
         setting of the noise, shape (V, q, p)."""
-        products = np.sum([x.T @ y for x, y in zip(other.by_channel, self.stacked, strict=True)], axis=0)
+        products = np.sum([other.by_channel[channel].T @ y for channel, y in self.stacked.items()], axis=0)
         return np.asarray(np.swapaxes(products.reshape(len(products), len(self.variants), -1), 0, 1))
 
     @property
