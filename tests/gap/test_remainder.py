@@ -88,6 +88,23 @@ def test_a_second_effect_beside_a_remainder_is_residue_too() -> None:
     assert (said.kind, said.effects, said.residue) == ("effect", ("gyro_dead_zone",), "unknown")
 
 
+def test_an_effect_that_may_act_instead_of_a_nominal_term_is_in_the_class() -> None:
+    """To and fro at one speed, a limit of the output and a scale factor explain nearly the same; the set with the limit is likelier."""
+    evidence = {
+        "none": 0.0,
+        "gyro_scale_factor": 99_900.0,
+        "gyro_saturation": 99_700.0,
+        "gyro_warm_up": 50_000.0,
+        "gyro_saturation+gyro_warm_up": 100_000.0,
+    }
+    best = "gyro_saturation+gyro_warm_up"
+    found = Posterior({best: 1.0} | dict.fromkeys(evidence, 0.0) | {best: 1.0}, evidence, {}, {}, {})
+    candidates = [_candidate(name, value) for name, value in evidence.items() if "+" not in name and name != "none"]
+    said = _verdict(found, candidates)
+    assert (said.kind, said.effects) == ("indistinguishable", ("gyro_scale_factor",))
+    assert said.members == ("gyro_scale_factor", "gyro_saturation")
+
+
 def test_terms_of_a_nominal_model_leave_no_residue_of_form() -> None:
     evidence = {"none": 0.0, "gyro_bias": 9400.0, "gyro_bias+gyro_scale_factor": 9600.0}
     found = Posterior({"gyro_bias+gyro_scale_factor": 1.0, "gyro_bias": 0.0, "none": 0.0}, evidence, {}, {}, {})

@@ -182,9 +182,9 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
     probability = found.of_effects()
     if probability["none"] >= NAMEABLE:
         return Verdict("none")
-    top = next(iter(probability))
+    first = next(iter(probability))
     by_id = {candidate.id: candidate for candidate in candidates}
-    top, remainder = leading(found.log_evidence, top, by_id) or (top, None)
+    top, remainder = leading(found.log_evidence, first, by_id) or (first, None)
     if top == UNKNOWN:
         best = next((name for name in probability if name not in ("none", UNKNOWN)), "")
         if not best or probability[UNKNOWN] >= SOMETHING_ELSE:
@@ -202,7 +202,19 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
             if (without := _without(name, residue)) and len(without.split("+")) == len(named.split("+"))
         }
         rivals = _rivals(beside, by_id, named) if "+" not in named else (named,)
+    if remainder is not None and "+" not in named:
+        rivals += tuple(name for name in _instead(found.log_evidence, first, named, by_id) if name not in rivals)
     return _named(tuple(named.split("+")), rivals, remainder or residue, left)
+
+
+def _instead(log_evidence: Mapping[str, float], first: str, named: str, among: Collection[str]) -> list[str]:
+    """Returns the effects of the most probable hypothesis `first` that alone explain nearly all of the gap. If `named` is not in this
+    hypothesis, such an effect may act instead of `named`: an output at its limit, for example, shows a smaller scale factor."""
+    parts = first.split("+")
+    if named in parts:
+        return []
+    least = (1 - FORM) * log_evidence[first]
+    return [name for name in parts if name in among and log_evidence.get(name, -math.inf) >= least]
 
 
 def _without(name: str, effect: str) -> str:
