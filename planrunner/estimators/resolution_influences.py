@@ -2,8 +2,8 @@
 
 Budgets list this influence, but do not add it to the uncertainty, because other contributions already include it. Noise that is
 large enough to spread the samples over several counts is said to dither the counts. If the noise does not dither the counts, the
-standard errors of the means include the rounding (see `observations`). If it does, the scatter of the samples includes the rounding
-errors.
+standard errors of the means include the rounding (see `observations`). If the noise dithers the counts, the scatter of the samples
+includes the rounding errors.
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 recording. A column contains the change of the outputs for a unit amplitude.
 
 An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds effects, the estimator
-`error_model` fits their amplitudes to the means of segments, and the diagnosis decides whether the data support them. An effect may
-act on several channels simultaneously, have a shape (such as a time constant), or change the noise. An estimate fits all effects
-without a shape. An effect with a shape is fitted only if it lasts longer than a segment.
+`error_model` fits their amplitudes, and the diagnosis decides whether the data support them. An effect may act on several channels
+simultaneously, have a shape (such as a time constant), or change the noise. An estimate can fit most effects (see
+`segment_columns.estimable`). It fits the shape of an effect to the means of segments if the effect lasts longer than a segment
+(`ShapedOverSegments`), and to the samples if the effect changes an output within segments (`ChangesWithinSegments`).
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name

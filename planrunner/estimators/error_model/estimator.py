@@ -1,12 +1,12 @@
-"""Estimates amplitudes of effects from the means of segments, by generalised least squares. The plan names the effects for each
-output.
+"""Estimates amplitudes of effects by generalised least squares, from the means of segments and, where an output changes within
+segments, also from its samples (`within`). The plan names the effects for each output.
 
     output = input along its own axis + Σ amplitude · column
 
-The columns come from `planrunner.error_model.effects`, which simulations and diagnoses also use. Here they are averaged over the
-segments. The parameters of the effects have the names and units of the catalogue, so that a result can be stated in a bench file.
-An output may be recorded in another unit than a rate or an acceleration, for example in pulse/s. Its model is then output = K ·
-(input + Σ …), where K is its fitted scale factor.
+The columns come from `planrunner.error_model.effects`, which simulations and diagnoses also use. For the fit to the means, the
+columns are averaged over the segments. The parameters of the effects have the names and units of the catalogue, so that a result
+can be stated in a bench file. An output may be recorded in another unit than a rate or an acceleration, for example in pulse/s. Its
+model is then output = K · (input + Σ …), where K is its fitted scale factor.
 """
 
 from __future__ import annotations
