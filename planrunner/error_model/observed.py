@@ -2,7 +2,8 @@
 
 All values are in SI units with radians, except temperatures, which are in degC. The samples of all segments are concatenated;
 `bounds` gives the index of the first sample of each segment. The nominal stimulus at every sample follows from attitude, table
-angle and site; an `Observed` contains no error model.
+angle and site. An `Observed` contains no effects, but it may contain the output of the nominal model after its parameters have been
+fitted (`with_model`).
 """
 
 from __future__ import annotations
