@@ -76,8 +76,8 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
     """Returns the influences that acted on one set of coefficients [U; V], in SI units, during the calibration that gave this set.
-    Flicker is left out, because the simulation of the residuals includes it. Errors of the table are not left out, because the
-    simulation does not include their contribution to the calibration."""
+    Flicker and resolution are left out: the simulation of the residuals includes flicker, and the noise includes rounding. Errors
+    of the table are not left out, because the simulation does not include their contribution to the calibration."""
     coefficients = np.array(used.extra["coefficients"])
     quantities, factors = reported(units, flexure_gyro.static_model(), ())
     own_noise = {aspect.of(output) for aspect in Aspect for output in used.extra["outputs"]}
