@@ -12,7 +12,8 @@ from moved_by_hand import BY_POSES, BY_REFERENCE, SENSOR, Hand
 from recorded import from_samples
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.estimators.error_model.estimator import ErrorModelEstimator
+from planrunner.estimators.analysis import combined
+from planrunner.estimators.error_model.estimator import DILUTION, ErrorModelEstimator
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.error_model.within import uneven_ratios
 from planrunner.estimators.interface import Estimate, EstimateRequest, EstimationError
@@ -188,3 +189,11 @@ def test_the_scatter_of_segments_gives_the_variance_of_a_contrast() -> None:
 def test_an_even_reference_gives_no_such_warning() -> None:
     found = estimate(BOARD, BY_REFERENCE, {"two_gyro_z": GYRO, "two_accel_x": ACCEL}, parts=8)
     assert not [text for text in found.warnings if "single segments give" in text]
+
+
+def test_the_limit_of_the_error_of_a_noisy_reference_concerns_gyros_alone() -> None:
+    """An accelerometer responds to a specific force and to the rotation, whose noise differs."""
+    found = combined(estimate(BOARD, BY_REFERENCE, {"two_gyro_z": GYRO, "two_accel_x": ACCEL}))
+    named = {one.coefficient: {line.quantity for line in one.lines} for one in found.budgets}
+    assert DILUTION in named["gyro_scale_factor_z"]
+    assert not [name for name, lines in named.items() if DILUTION in lines and not name.startswith("gyro")]

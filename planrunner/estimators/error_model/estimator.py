@@ -438,16 +438,17 @@ def _fitted(
 
 
 def _of_reference(one: ModelledOutput, outputs: Sequence[ModelledOutput]) -> tuple[CorrelatedError, ...]:
-    """Returns the error that the noise of the channels that show a recorded motion causes in the response of an output. This noise
-    makes a fitted response too small, by a fraction between zero and an upper limit (`WithinFit.dilution`). Outputs of the same
-    kind share these channels. The fraction is therefore at most the largest limit among the outputs of this kind whose scale
-    factors are fitted."""
-    if one.within is None or not one.within.dilution:
+    """Returns the error that the noise of the channels that show a recorded motion causes in the response of a gyro. This noise
+    makes a fitted response too small, by a fraction between zero and an upper limit (`WithinFit.dilution`). All gyros share these
+    channels. The fraction is therefore at most the largest limit among the gyros whose scale factors are fitted. Accelerometers are
+    left out: they respond to a specific force and, with a lever arm, to the rotation. The noise reduces these responses by
+    different fractions."""
+    if one.within is None or one.errors.kind != "gyro" or not one.within.dilution:
         return ()
     limits = [
         other.within.dilution
         for other in outputs
-        if other.within is not None and other.gain is not None and other.errors.kind == one.errors.kind
+        if other.within is not None and other.gain is not None and other.errors.kind == "gyro"
     ]
     most = min(one.within.dilution, max(limits, default=one.within.dilution))
     quantity = InputQuantity(
