@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from scipy.stats import chi2, kstest
 
 from planrunner.error_model.effects.interface import Shaped, effect_named
 from planrunner.error_model.observed import Observed
+from planrunner.gap.answer import diagnosis
 from planrunner.gap.answer.apart import fitted_line
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.answer.gap_description import levels
-from planrunner.gap.answer.posterior import PRIORS
+from planrunner.gap.answer.posterior import PRIORS, Posterior
 from planrunner.gap.hypotheses.candidates import FULL, Weighing
 from planrunner.observation.refusals import ObservationError
 from tests.gap.turntable import DEG, GYRO_WHITE, Fault, G, kept, record
@@ -93,6 +95,29 @@ def test_two_effects_are_named_together() -> None:
     # specific force gains (2, −1, 0)·1e-4 g in site axes: −ε × g·up = g·(−ε_north, ε_east, 0)
     assert tilt["about_north"] == pytest.approx(-2e-4 / DEG * 3600, rel=0.1)
     assert tilt["about_east"] == pytest.approx(-1e-4 / DEG * 3600, rel=0.2)
+
+
+def test_a_named_pair_of_which_only_the_quick_evaluation_is_known_is_fitted_as_a_pair(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def both(
+        observed: Observed, omega: Array, force: Array, draw: np.random.Generator
+    ) -> tuple[Array | float, Array | float]:
+        return _unbalance(observed, omega, force, draw)[0], _tilt(observed, omega, force, draw)[1]
+
+    seen, few = record(seed=13, fault=both), DiagnosisOptions(effects=("gyro_g_sensitivity", "table_tilt"))
+    known = diagnose(seen, few)
+    whole = diagnosis.posterior
+
+    def without_sets(*arguments: Any) -> Posterior:
+        return replace(whole(*arguments), sets={}, pairs={})
+
+    monkeypatch.setattr(diagnosis, "posterior", without_sets)
+    found = diagnose(seen, few)
+    assert found.verdict.effects == known.verdict.effects == ("gyro_g_sensitivity", "table_tilt")
+    assert found.rest is not None and found.rest.passes
+    listed = [[p.value for p in one.parameters] for one in (found, known)]
+    assert listed[0] == pytest.approx(listed[1], rel=1e-6)
 
 
 def test_parameters_beside_a_random_walk_have_its_uncertainty() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
 from planrunner.observation.refusals import ObservationError
-from tests.gap.turntable import Fault, record
+from planrunner.physics.earth import Site
+from tests.gap.turntable import Fault, kept, record
 
 AXIS = np.array([0.0, 0.0, 1.0])
 EFFECTS = ("lever_arm", "accel_second_order", "table_tilt")
@@ -117,6 +119,27 @@ def test_another_latitude_is_named(latitude: float) -> None:
     assert found.verdict.effects == ("site_latitude",)
     (error,) = found.parameters
     assert np.rad2deg(seen.site.latitude) + error.value == pytest.approx(latitude, abs=4 * error.standard_uncertainty)
+
+
+def test_a_latitude_of_the_other_hemisphere_is_named_where_only_the_vertical_rate_shows_it() -> None:
+    """For a small angle, the vertical rate would require an error beyond the pole. The exact error is possible."""
+    whole = kept(record(seed=5), [2, 4])  # x down, x up; y north in both
+    edges = np.concatenate([np.linspace(a, b, 4)[:-1] for a, b in pairwise(whole.bounds)] + [whole.bounds[-1:]])
+    twice = np.repeat([0, 1], 3)
+    cut = replace(
+        whole,
+        labels=tuple(f"part_{k}" for k in range(6)),
+        motions=tuple(whole.motions[k] for k in twice),
+        attitude=whole.attitude[twice],
+        last_change=whole.last_change[twice],
+        bounds=np.round(edges).astype(np.int64),
+        site=Site(np.radians(-60.0), whole.site.gravity),
+    )
+    nominal = ("gyro_bias", "earth_rate", "accel_bias", "accel_scale_factor", "accel_misalignment")
+    found = diagnose(cut, DiagnosisOptions(nominal, effects=("site_latitude", "gyro_warm_up")))
+    assert found.verdict.effects == ("site_latitude",)
+    (error,) = found.parameters
+    assert error.value == pytest.approx(99.98, abs=4 * error.standard_uncertainty)
 
 
 @pytest.mark.parametrize(

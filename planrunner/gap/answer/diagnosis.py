@@ -55,7 +55,7 @@ from planrunner.gap.answer.gap_description import (
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.posterior import PRIORS, UNKNOWN, Posterior, posterior
 from planrunner.gap.answer.remainder import Remainder, dispersions, remainder
-from planrunner.gap.answer.sets import EffectSet, Member, key_of, together
+from planrunner.gap.answer.sets import EffectSet, Member, evaluated, key_of, together
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.hypotheses.candidates import FULL, Candidate, Forms, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of, shape_alone, whole_forms
@@ -216,6 +216,9 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     absorbed = {c.id: c.kept for c in candidates if c.variants and c.kept < _ABSORBED_SHARE}
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
     key = key_of(named)
+    if len(named) > 1 and key not in found.sets:  # of this set, only the quick evaluation is known
+        own = evaluated(weighing, [by_id[name] for name in named])
+        found = replace(found, sets={**found.sets, key: own}, pairs={**found.pairs, key: own.weighed})
     after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
     walks = {
         effect.id for effect in effects if isinstance(effect, OutsideCoefficients) and effect.outside == "random walk"

@@ -235,6 +235,11 @@ def _evaluated(weighing: Weighing, members: tuple[Member, ...]) -> EffectSet:
     return EffectSet(members, weighed, log_bayes, weighing.evidence(log_bayes))
 
 
+def evaluated(weighing: Weighing, candidates: Sequence[Candidate]) -> EffectSet:
+    """Evaluates a set of effects in full, each effect in its best form."""
+    return _evaluated(weighing, tuple(map(Member.best, candidates)))
+
+
 def _walking(weighing: Weighing, one: EffectSet) -> EffectSet:
     """Returns a copy of the set that also contains the log evidence for the case that a random walk acts in addition
     (`walking`)."""

@@ -109,7 +109,8 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
                 log_bayes = _averaged(usable)
     if isinstance(effect, CurvedAndShaped) and float(log_bayes.max()) > BENT:
         usable, log_bayes = _along_secants(weighing, effect, usable, log_bayes)
-    if isinstance(effect, Curved) and float(log_bayes.max()) > BENT:
+    if isinstance(effect, Curved) and (float(log_bayes.max()) > BENT or usable[0].excluded):
+        # The amplitude of the linear approximation may be impossible although the exact one is possible.
         usable, log_bayes = _curved(weighing, effect, usable, log_bayes)
     return Candidate(effect, tuple(usable), log_bayes, weighing.likeliest[0], settled, whole)
 
@@ -209,6 +210,8 @@ def _averaged(forms: Sequence[Weighed]) -> Array:
     """Returns the log Bayes factor (G,), averaged over the shapes of an effect with the amplitude 1. The energy λ of the effect, in
     units of the noise, has the same prior as for other effects."""
     width = np.abs(np.gradient(np.log([form.trace for form in forms]))) / RANGE
+    if not width.any():  # all forms have the same energy, which has no share in the prior
+        return np.full(len(forms[0].log_bayes), -np.inf)
     share = width / width.sum()
     stacked = np.array([form.log_bayes for form in forms])
     return np.asarray(log_mean_exp(stacked, 0, share[:, None]) + float(np.log(width.sum())))
