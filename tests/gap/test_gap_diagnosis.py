@@ -17,6 +17,7 @@ from planrunner.gap.answer.apart import fitted_line
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.answer.gap_description import levels
 from planrunner.gap.answer.posterior import PRIORS, Posterior
+from planrunner.gap.answer.posterior import posterior as whole
 from planrunner.gap.hypotheses.candidates import FULL, Weighing
 from planrunner.observation.refusals import ObservationError
 from tests.gap.turntable import DEG, GYRO_WHITE, Fault, G, kept, record
@@ -107,7 +108,6 @@ def test_a_named_pair_of_which_only_the_quick_evaluation_is_known_is_fitted_as_a
 
     seen, few = record(seed=13, fault=both), DiagnosisOptions(effects=("gyro_g_sensitivity", "table_tilt"))
     known = diagnose(seen, few)
-    whole = diagnosis.posterior
 
     def without_sets(*arguments: Any) -> Posterior:
         return replace(whole(*arguments), sets={}, pairs={})
