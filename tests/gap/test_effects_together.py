@@ -135,12 +135,14 @@ def test_a_strong_nonlinear_effect_is_fitted_with_its_secant(angle: float) -> No
             assert np.linalg.norm(own - secant) < 0.05 * np.linalg.norm(own - tangent)
 
 
-def _walking(seed: int) -> tuple[Observed, Array]:
-    """A recording with g-sensitivity and a random walk of the gyros, and the change (N, K) of the outputs by both."""
+def _walking(seed: int, density: float) -> tuple[Observed, Array]:
+    """A recording with g-sensitivity and a random walk of the gyros with a density in rad/s/√s, and the change (N, K) of the outputs by
+    both. The random walk continues between the segments."""
 
     def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
         own = np.random.default_rng([seed, 6])
-        walk = np.cumsum(own.standard_normal((len(observed.time), 3)), axis=0) * 1e-6
+        steps = np.sqrt(np.diff(observed.time, prepend=observed.time[0]))
+        walk = np.cumsum(own.standard_normal((len(observed.time), 3)) * steps[:, None], axis=0) * density
         return 0.2 * force @ K.T + walk, 0.0
 
     with_both = record(seed=seed, sampling=SAMPLING, clean=True, fault=fault)
@@ -149,11 +151,35 @@ def _walking(seed: int) -> tuple[Observed, Array]:
 
 
 @pytest.mark.slow
-def test_a_random_walk_within_the_segments_is_no_noise() -> None:
+@pytest.mark.parametrize("seed", range(4))
+def test_a_random_walk_within_the_segments_is_no_noise(seed: int) -> None:
+    """The random walk has about as much energy within the segments as the noise. The level of the noise is stated, not only limited. It
+    agrees with the energy of the noise that was added, within three standard deviations of the stated degrees of freedom, and contains
+    less than half of the energy of the random walk."""
+    recorded, change = _walking(seed, 1e-5)
+    exact = record(seed=seed, sampling=SAMPLING, clean=True)
+    found = diagnose(recorded)
+    weighing, noise = found.grounds.weighing, found.grounds.noise
+    assert noise is not None
+    added = weighing.spectrum.project(weighing.observed, recorded.values - exact.values - change)
+    walked = weighing.spectrum.project(weighing.observed, change)
+    gyros, within = weighing.observed.of_kind("gyro"), weighing.spectrum.frequency > 0
+    true = np.concatenate([noise.weights[c].whiten(added[:, [c]])[within, 0] for c in gyros])
+    both = np.concatenate([noise.weights[c].whiten((added + walked)[:, [c]])[within, 0] for c in gyros])
+    more = float((both**2).mean() / (true**2).mean()) - 1
+    assert more > 0.5
+    group = noise.group[gyros[0]][within][0]
+    assert not noise.limits[group]
+    level = noise.scale[gyros[0]][within][0] ** 2
+    assert abs(level / (true**2).mean() - 1) < min(3 * np.sqrt(2 / noise.degrees[group]), more / 2)
+
+
+@pytest.mark.slow
+def test_intervals_beside_a_random_walk_contain_the_true_share() -> None:
     """A random walk beside a named effect: the 90 % intervals of the closure contain the true share as often as chance allows at 1 %."""
     held, tries = 0, 12
     for seed in range(tries):
-        recorded, change = _walking(seed)
+        recorded, change = _walking(seed, 2e-6)
         found = diagnose(recorded)
         weighing, noise = found.grounds.weighing, found.grounds.noise
         if noise is None or not found.closure.resolvable:

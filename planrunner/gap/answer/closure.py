@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Effect
 from planrunner.gap.evidence.bayes_factors import best_amplitudes, best_scales, log_bayes_factors
-from planrunner.gap.evidence.weighing import DEPENDENT, ChannelWeights
+from planrunner.gap.evidence.weighing import DEPENDENT, WALKS, ChannelWeights
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing, joined
 from planrunner.gap.hypotheses.forms import OnOthers, OperatingPoint, on_output, operating_point
 
@@ -478,7 +478,8 @@ def _without_walk(
     means: int,
 ) -> tuple[_Left, bool]:
     """Subtracts the expected energy of a random walk of the gyros from the residuals within the segments. The degrees of freedom of the
-    noise decrease, because the level of the random walk is uncertain. If the random walk may be almost the whole of these residuals,
+    noise decrease, because the level of the random walk is uncertain. Part of this uncertainty is the distance between the evaluated levels
+    (`WALKS`): the true level may be anywhere between the neighbouring ones. If the random walk may be almost the whole of these residuals,
     they do not show the level of the noise; the residuals are then unchanged, and the second result is False. `log_bayes`: the same as
     in `measured_noise`. `means`: the noise group of the means of the gyros."""
     terms = np.logaddexp.reduce((weighing.base + weighing.log_prior[1] + log_bayes).reshape(weighing.shape), axis=1)
@@ -490,7 +491,9 @@ def _without_walk(
     ]
     within, share = means + 1, share / share.sum()
     walked = float(share @ energy)
-    spread = float(share @ (np.array(energy) - walked) ** 2) + 2 * left.squares[within] ** 2 / left.degrees[within]
+    between = walked * float(np.log(WALKS[1] / WALKS[0])) / np.sqrt(12)
+    spread = float(share @ (np.array(energy) - walked) ** 2) + between**2
+    spread += 2 * left.squares[within] ** 2 / left.degrees[within]
     squares, degrees, ratio = left.squares.copy(), left.degrees.copy(), left.ratio.copy()
     if squares[within] - walked < WALKED * squares[within]:
         return left, False
