@@ -45,6 +45,7 @@ from planrunner.plan.meaning import channels_of
 from planrunner.plan.model import USUAL, EstimateSpec, Limit, MonteCarloSpec
 from planrunner.plan.schedule import Rest, Spin
 from planrunner.plan.selection import select
+from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.budget import Measured, combine
 
 
@@ -209,13 +210,14 @@ def coarse_counts(
     """
     found = []
     outputs = [one for one in sensor.outputs if varies(one) and (not channels or one.name in channels)]
-    counts = _observed_counts(segments, [one.name for one in outputs if not one.noise.resolution])
+    undeclared = [one for one in outputs if not one.noise.resolution and unit(one.unit).dimension not in _METERED]
+    counts = _observed_counts(segments, [one.name for one in undeclared])
     for output in outputs:
         noise = output.noise
         if not noise.resolution:
-            noise = replace(noise, resolution=counts.get(output.name, 0.0))
+            noise = replace(noise, resolution=counts.get(output.name, 0.0), counted=_carried(segments, output.name))
         if not noise.resolution:
-            if _constant(segments, output.name):
+            if output in undeclared and _constant(segments, output.name):
                 found.append(
                     said(
                         "{output}: within each segment, all samples are equal. The noise is smaller than one count, so rounding errors "
@@ -254,6 +256,28 @@ def _coarse(recorded: RecordedSegment, channel: str, noise: NoiseModel) -> bool:
     return not noise.dithers(float(statistics.covariance[place, place]))
 
 
+def _carried(segments: Sequence[RecordedSegment], channel: str) -> bool:
+    """Returns True if the rounding errors of a channel with coarse counts seem to be carried over from sample to sample. They then
+    average out: the means of batches scatter less than the samples do. With a count q and white noise σ below q/√12, the ratio of
+    the two variances is below 1/3 in long batches. It is 1 if each sample is rounded by itself. The ratio is the mean over all
+    segments."""
+    ratios, freedoms = [], []
+    for one in segments:
+        if channel not in one.units or not one.statistics.batches > 1 or not _changes(one, channel):
+            continue
+        known, place = one.statistics, one.statistics.of(channel)
+        ratios.append(float(known.standard_error[place] ** 2 * known.count / known.covariance[place, place]))
+        freedoms.append(known.freedom)
+    return bool(ratios) and sum(freedoms) >= _MANY and float(np.average(ratios, weights=freedoms)) < _CARRIED
+
+
+_MANY = 8
+"""Degrees of freedom of batch means that show whether rounding errors are carried over."""
+_CARRIED = 0.5
+"""Ratio of the variance of batch means to the variance that independent samples would cause, below which rounding errors count as
+carried over."""
+
+
 def _changes(recorded: RecordedSegment, channel: str) -> bool:
     """Returns True if the samples of a channel differ within a segment. The screening reports a channel that is stuck."""
     place = recorded.statistics.of(channel)
@@ -290,6 +314,8 @@ def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str
     return {name: undeclared_step(np.concatenate(parts), _FEWEST) for name, parts in taken.items()}
 
 
+_METERED = (DIMENSIONS["voltage"], DIMENSIONS["pressure"])
+"""Quantities of meters, whose readings may keep one value and have uncertainties of their own in the plan."""
 _SHOWING = 4096
 """Number of samples, over all segments, from which the count of a channel is found."""
 _LEAST_SHOWING = 256

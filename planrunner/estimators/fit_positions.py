@@ -3,7 +3,8 @@ fit come from the noise within positions, the declared flicker and the declared 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import Protocol
 
 from planrunner.archive.recording import RecordedSegment
@@ -61,8 +62,10 @@ def fit_positions(
     observations: Observations,
     recorded: Sequence[RecordedSegment],
     pooled: bool = False,
+    shown: Collection[str] = (),
 ) -> OutputsFit:
-    """Fits outputs with a linear model. `recorded`: the recorded segments from which the observations come.
+    """Fits outputs with a linear model. `recorded`: the recorded segments from which the observations come. `shown`: names of the
+    drift functions that other outputs of the same sensor show, or that these outputs show in a previous fit; see `DriftCourses`.
 
     The effect of the table's errors on an output depends on the coefficients of this output, so a first fit without these errors
     gives approximate coefficients. Raises `EstimationError` if the plan or the data are not suitable. `pooled`: True if one
@@ -75,7 +78,10 @@ def fit_positions(
         *flicker_errors(observations, request.setup.inputs, parameters.drift_span.value),
         *table_errors(model, design.segments, request.site, request.setup, about),
     )
-    drift = drift_of(parameters.drift, parameters.temperature_channel, observations, recorded, request.segments)
+    drift = replace(
+        drift_of(parameters.drift, parameters.temperature_channel, observations, recorded, request.segments),
+        shown=frozenset(shown),
+    )
     basis = parameters.uncertainty
     unstated = unstated_flicker(observations, request.setup.inputs, parameters.drift_span.value)
     return fit_outputs(

@@ -92,3 +92,18 @@ def test_a_stuck_segment_beside_written_digits_is_no_coarse_count() -> None:
     values = {"gyro_z": np.full(3000, 10000.0)}
     recording[6] = from_samples(stuck.segment, 240.0 + np.arange(3000) / 100, values, {"gyro_z": "pulse/s"})
     assert not coarse(scale_factor(recording))
+
+
+@pytest.mark.parametrize("noise", [0.02, 0.3, 1.0])
+def test_counts_whose_rounding_errors_are_carried_over_give_no_warning(noise: float) -> None:
+    """A counter of pulses: what is left of one sample is counted in the next, so the means are not rounded."""
+    for seed in range(9, 13):
+        recording = []
+        for one in on_a_table(seed, 0.0, noise):
+            values = np.concatenate([block.channels["gyro_z"] for block in one.blocks(("gyro_z",))])
+            time = np.concatenate([block.time for block in one.blocks(("gyro_z",))])
+            counted = 4.0 * np.diff(np.floor(np.cumsum(values) / 4.0), prepend=0.0)
+            recording.append(from_samples(one.segment, time, {"gyro_z": counted}, {"gyro_z": "pulse/s"}))
+        found = scale_factor(recording)
+        assert not coarse(found)
+        assert abs(found["K_gyro_z"].value - 200) < 5 * found["K_gyro_z"].standard_uncertainty

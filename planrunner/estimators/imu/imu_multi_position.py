@@ -11,7 +11,7 @@ The report contains tables of the matrices and their inverses, and notes that ex
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -153,6 +153,11 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         parameters = request.parameters
         basis = parameters.uncertainty
         triads = tuple(_fit(request, *one) for one in _triads(parameters))
+        drifts = [one.fit.drift for one in triads]
+        shown = {course.name for drift in drifts if drift.by_evidence for course in drift.courses}
+        if shown and len(triads) > 1:
+            # What drifts in one triad drifts in the other too, even where this triad alone does not show it.
+            triads = tuple(_fit(request, *one, shown) for one in _triads(parameters))
         made = calibration([_response(one) for one in triads], parameters.misalignment == "lower_triangular")
         # The triads' noise is taken for independent.
         found = derived(made.quantities, made.formula, *(one.fit for one in triads))
@@ -273,13 +278,18 @@ def _magnitudes(model: ErrorModel, matrix: Array) -> Array:
 
 
 def _fit(
-    request: EstimateRequest[ImuMultiPositionParameters], kind: str, channels: Sequence[str], terms: Sequence[str]
+    request: EstimateRequest[ImuMultiPositionParameters],
+    kind: str,
+    channels: Sequence[str],
+    terms: Sequence[str],
+    shown: Collection[str] = (),
 ) -> Triad:
+    """Fits one triad. `shown`: names of the drift functions that at least one triad shows."""
     design = _design(kind, terms, [recorded.segment for recorded in request.segments], request.site)
     usable = {id(segment) for segment in design.segments}
     recorded = [one for one in request.segments if id(one.segment) in usable]
     observations = observe(recorded, channels, request.sensor)
-    fit = fit_positions(request, design, observations, recorded)
+    fit = fit_positions(request, design, observations, recorded, shown=shown)
     require_basis(fit, request.parameters.uncertainty, f"{request.name}, {kind} triad")
     return Triad(kind, design, observations, fit)
 
