@@ -63,3 +63,25 @@ def test_the_noise_of_a_reference_is_a_limit_of_scale_factors(steady: Observed, 
     check_observed(replace(steady, motions=motions, rate=shown), "recording", log)
     (message,) = [one.message for one in log if one.code == "gap-reference"]
     assert float(message.split()[-2]) == pytest.approx(lost * 1e6, rel=0.2)
+
+
+def test_a_fast_motion_hides_the_noise_of_the_reference(steady: Observed) -> None:
+    shown = steady.rate.copy()
+    shown[:400] = np.deg2rad(20 * np.sin(np.arange(400) * 2.0))
+    log = Findings()
+    motions = (RecordedMotion(angle="encoder"), *steady.motions[1:])
+    check_observed(replace(steady, motions=motions, rate=shown), "recording", log)
+    (message,) = [one.message for one in log if one.code == "gap-reference"]
+    assert message.endswith("by an amount that the fast motion hides")
+
+
+@pytest.mark.parametrize(("limit", "count"), [(0.6, 0.0), (0.6, 1e-3), (np.inf, 0.0), (np.inf, 0.2)])
+def test_a_limit_of_the_output_is_named_with_its_value(steady: Observed, limit: float, count: float) -> None:
+    values = steady.values.copy()
+    values[:, 0] = np.random.default_rng(3).normal(0, 0.3, len(values))
+    values[:, 0] = np.clip(np.round(values[:, 0] / count) * count if count else values[:, 0], -limit, limit)
+    log = Findings()
+    check_observed(replace(steady, values=values), "recording", log)
+    found = [one.message for one in log if one.code == "gap-saturated" and steady.channels[0].name in one.message]
+    assert len(found) == (2 if limit < np.inf else 0)
+    assert all(f"{np.degrees(limit):.4g} deg/s" in message for message in found)

@@ -59,6 +59,13 @@ POSE_PARAMETERS = 9
 non-orthogonalities."""
 
 
+LIMITED = 20
+"""An output counts as limited if at least this number of samples have its extreme value, and if this value occurs this many times as
+often as the value next to it."""
+HIDDEN = 0.03
+"""Share of the variance of the rates from which on the third differences of the rates show the motion rather than the noise."""
+
+
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
     """Checks the segments, missing numbers, the clock and the ranges of a recording. `where`: name of the run or recording, used in
     messages."""
@@ -92,6 +99,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
     _check_labels(observed, mark, log)
     _check_steady_rates(observed, mark, log)
     _note_reference(observed, mark, log)
+    _check_limits(observed, mark, log)
     for kind, word in (("gyro", "angular rate"), ("accel", "acceleration")):
         channels = observed.of_kind(kind)
         if not channels:
@@ -177,10 +185,12 @@ def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
     noise = np.concatenate([np.diff(observed.turn[rows], 3, axis=0) for rows in parts]).var(axis=0) / 20
     axis = int(np.argmax(variance := rates.var(axis=0)))
     if variance[axis] > 0:
-        message = (
-            "the channels that show the motion count as exact: an error of their scale factor looks like one of the sensor, and their "
-            f"noise makes fitted scale factors too small by up to {noise[axis] / variance[axis] * 1e6:.2g} ppm"
-        )
+        share = noise[axis] / variance[axis]
+        message = "the channels that show the motion count as exact: an error of their scale factor looks like one of the sensor, and "
+        if share < HIDDEN:
+            message += f"their noise makes fitted scale factors too small by up to {share * 1e6:.2g} ppm"
+        else:
+            message += "their noise makes fitted scale factors too small, by an amount that the fast motion hides"
         log.note(
             "gap-reference", mark, message, "add the calibration uncertainty of the reference to that of the result"
         )
@@ -206,6 +216,24 @@ def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, flo
     away = off > max(UNSTEADY * rate + 2 * earth_rate, FAR * scatter)
     ends = np.argmin(away), np.argmin(away[::-1])
     return float(sum(ends)) / PARTS, float(off[away].max(initial=0.0)) / rate if any(ends) else 0.0
+
+
+def _check_limits(observed: Observed, mark: Mark, log: Findings) -> None:
+    """Warns if the output of a channel is limited: it has its largest or smallest value in many samples, and hardly ever the value
+    next to it. An output with coarse counts has both values about equally often."""
+    for index, channel in enumerate(observed.channels):
+        values = observed.values[:, index]
+        for extreme in (values.max(), values.min()):
+            at = np.isclose(values, extreme, rtol=1e-9, atol=0.0)
+            others, count = values[~at], int(np.count_nonzero(at))
+            if count < LIMITED or not len(others):
+                continue
+            nearest = others[np.argmin(np.abs(others - extreme))]
+            if count >= LIMITED * np.count_nonzero(np.isclose(others, nearest, rtol=1e-9, atol=0.0)):
+                value = f"{extreme / channel.factor:.4g} {channel.unit}"
+                message = f"'{channel.name}' has the value {value} in {count / len(values):.1%} of the samples, and never exceeds it"
+                hint = "the output is limited, which looks like an effect: lower the rates, or set a larger measurement range"
+                log.warning("gap-saturated", mark, message, hint)
 
 
 def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
