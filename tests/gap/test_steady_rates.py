@@ -81,7 +81,8 @@ def test_a_limit_of_the_output_is_named_with_its_value(steady: Observed, limit: 
     values[:, 0] = np.random.default_rng(3).normal(0, 0.3, len(values))
     values[:, 0] = np.clip(np.round(values[:, 0] / count) * count if count else values[:, 0], -limit, limit)
     log = Findings()
-    check_observed(replace(steady, values=values), "recording", log)
+    motions = (RecordedMotion(angle="encoder"),) * len(steady)
+    check_observed(replace(steady, motions=motions, values=values), "recording", log)
     found = [one.message for one in log if one.code == "gap-saturated" and steady.channels[0].name in one.message]
     assert len(found) == (2 if limit < np.inf else 0)
     assert all(f"{np.degrees(limit):.4g} deg/s" in message for message in found)

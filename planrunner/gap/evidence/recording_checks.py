@@ -219,10 +219,11 @@ def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, flo
 
 
 def _check_limits(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Warns if the output of a channel is limited: it has its largest or smallest value in many samples, and hardly ever the value
-    next to it. An output with coarse counts has both values about equally often."""
-    for index, channel in enumerate(observed.channels):
-        values = observed.values[:, index]
+    """Warns if the output of a channel is limited during a recorded motion: it has its largest or smallest value in many samples, and
+    hardly ever the value next to it. An output with coarse counts has both values about equally often."""
+    moved = observed.moved[observed.owner]
+    for index, channel in enumerate(observed.channels if moved.any() else ()):
+        values = observed.values[moved, index]
         for extreme in (values.max(), values.min()):
             at = np.isclose(values, extreme, rtol=1e-9, atol=0.0)
             others, count = values[~at], int(np.count_nonzero(at))
