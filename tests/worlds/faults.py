@@ -111,6 +111,11 @@ def _warming(made: Recorded, draw: np.random.Generator) -> Array:
     return _drifting(made, draw, 1 - np.exp(-3 * (made.time - made.time[0]) / (made.time[-1] - made.time[0])))
 
 
+def _warming_less(made: Recorded, draw: np.random.Generator) -> Array:
+    """The same, by five times the noise of a mean."""
+    return np.asarray((made.values + _warming(made, draw)) / 2)
+
+
 def _laboratory(share: Array) -> Array:
     """A unit that warms up by 5 K in a room that heats and cools by 3 K, twice and a third during the test."""
     return np.asarray(20 + 5 * (1 - np.exp(-3 * share)) + 3 * np.sin(2 * np.pi * 2.33 * share))
@@ -199,6 +204,7 @@ WORLDS: Mapping[str, World] = {
     "flicker, not declared": World(_flicker(1.0), warns=True, cause="bias_instability", silent=True),
     "linear drift": World(_ramp, cause="drift"),
     "warming up": World(_warming, cause="drift"),
+    "warming up, half as much": World(_warming_less, cause="drift"),
     "temperature drift, recorded": World(_following, celsius=_laboratory, cause="temperature"),
     "positions 5 arcsec, stated": World(tilt=5 * ARCSEC),
     "rates 10 ppm, stated": World(rate=10e-6),
