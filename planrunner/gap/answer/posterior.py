@@ -31,11 +31,15 @@ from planrunner.gap.answer.remainder import dispersions
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
 from planrunner.gap.evidence.noise_levels import Level, log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.open_set import Kinds, competitors, something_else, unknown
+from planrunner.gap.hypotheses.open_set import Kinds, competitors, forms_of_unknown, look_alike, something_else, unknown
 from planrunner.gap.hypotheses.outside import Line
 from planrunner.gap.hypotheses.patterns import Pattern
 
 BESIDE = 0.001  # probability of a tone or bursts beside an effect, from an independent cause
+EVENT = 0.02
+"""Probability that the noise of a recording contains a single event of a few seconds, for example a knock. Such an event is no
+cause of a gap; an event that recurs is."""
+LARGEST_EVENT = 50.0  # nats, half the energy of an event of ten standard deviations: larger events are no noise
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown": 0.15}
 """Prior probabilities. `several` is divided equally between two cases: three and more effects of the catalogue, and effects
 together with something else. Every further effect halves the probability."""
@@ -156,6 +160,10 @@ def posterior(
         name: value + log_prior(name, count) + (0.0 if name in PRIORS else _beside(kinds))
         for name, value in found.items()
     }
+    eventful = np.log(EVENT) + np.minimum(kinds.event, LARGEST_EVENT)
+    eventful = np.maximum(eventful, 0.0)  # an event counts only if it is more probable than no event
+    logs["none"] += weighing.evidence(eventful) - weighing.evidence(nothing)
+    by_id = {c.id: c for c in candidates}
     for name in logs:
         if UNKNOWN in name.split("+"):
             logs[name] += _whatever_noise(noise, len(name.split("+")), count)
@@ -172,11 +180,14 @@ def posterior(
                 named = _shared(
                     {name: value + log_prior(name, count) for name, value in again.items() if name in found}
                 )
-            more = {
-                key: value + _whatever_noise(noise, len(key.split("+")), count)
-                for key, value in _with_something_else(weighing, chain, found, count).items()
-            }
+            singles = [(name, by_id[name].best) for name in chain[-1][0].split("+")]
+            imitated, more = _with_something_else(weighing, [*singles[::-1], *chain], found, count)
+            more = {key: value + _whatever_noise(noise, len(key.split("+")), count) for key, value in more.items()}
             logs = _as_named(logs, named, more, walk)
+            one_of = float(np.log(forms_of_unknown(kinds) * count))
+            found[UNKNOWN] = float(np.logaddexp(found[UNKNOWN], imitated - one_of))
+            imitated += log_prior(UNKNOWN, count) + _whatever_noise(noise, 1, count) + _beside(kinds) - one_of
+            logs[UNKNOWN] = float(np.logaddexp(logs[UNKNOWN], imitated))
     beside = float(np.exp(np.log(BESIDE) + kinds.outside - _beside(kinds)))
     shares, levels = _shares(logs), frozenset(acting.values())
     return Posterior(
@@ -302,23 +313,33 @@ def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candid
 
 
 def _with_something_else(
-    weighing: Weighing, chain: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
-) -> dict[str, float]:
-    """Returns the log weights of hypotheses in which something else acts in addition to a set of effects. Something else is
-    evaluated in addition to all effects of the chain, and also in addition to its smaller sets, because some of the effects may
-    only imitate something else. Two kinds of sets are omitted: sets with physically impossible amplitudes, and sets whose evidence
-    is small compared with something else (`IMPERFECT`). `chain`: the growing sets of effects, as `_chain` returns them. `found`:
-    log evidence of each set and of "unknown". `count`: number of effects that the plan can excite."""
+    weighing: Weighing, tried: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
+) -> tuple[float, dict[str, float]]:
+    """Evaluates something else in addition to effects. Returns two results: the log evidence of causes outside the catalogue that
+    resemble one of the effects, and the log weights of hypotheses in which something else acts in addition to a set of effects.
+
+    Some of the effects may only imitate something else. Therefore, something else is evaluated in addition to several sets, the
+    last one first, until it is no longer visible. Two kinds of sets are omitted: sets with physically impossible amplitudes, and
+    sets whose evidence is small compared with something else (`IMPERFECT`). If something is visible in addition to a single effect,
+    the effect itself may be imitated: a cause outside the catalogue may resemble it, but depend on the motion in another way.
+
+    `tried`: the sets, that is, each effect of the likeliest set, and the growing sets that `_chain` returns. `found`: log evidence
+    of each set and of "unknown". `count`: number of effects that the plan can excite.
+    """
     made: dict[str, float] = {}
-    for key, weighed in reversed(chain):
+    imitated = -np.inf
+    for key, weighed in dict(reversed(tried)).items():
         if weighed.excluded or found[key] < IMPERFECT * found[UNKNOWN]:
             continue
         amplitudes, _ = weighed.amplitudes_at(weighing.likeliest[0])
-        besides = something_else(weighing.beside(weighed), [raw @ amplitudes for raw in weighed.raw], found[key])
+        signatures = [raw @ amplitudes for raw in weighed.raw]
+        besides = something_else(weighing.beside(weighed), signatures, found[key])
         made[key] = found[key] + besides + log_prior(key_of([*key.split("+"), UNKNOWN]), count)
         if besides < WORTH:
             break
-    return made
+        if "+" not in key:
+            imitated = float(np.logaddexp(imitated, found[key] + look_alike(weighing, signatures)))
+    return imitated, made
 
 
 def _as_named(

@@ -134,7 +134,7 @@ def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float
 RIVAL = 0.02  # fraction of the first's probability: less likely members of a class are left out, because the data exclude them
 COVERED = 0.95
 ELSEWHERE = 0.5  # share of an effect's energy in other channels at and above which it is not form residue
-BESIDE = 0.5  # the probability above which an effect on the noise is named beside a cause
+BESIDE = 0.5  # the probability above which an effect on the noise, a tone or bursts are stated beside a cause
 SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reported
 
 
@@ -168,7 +168,7 @@ class Verdict:
 
 def verdict(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]) -> Verdict:
     """Derives the verdict from the posterior. No effect is named if P(none) is 5 % or more. If the plan cannot distinguish several
-    effects, their class is named instead of a single effect."""
+    effects, their class is named instead of a single effect. If something else may be the whole cause, the class includes it."""
     said = _cause(weighing, found, candidates)
     if said.kind == "none":
         return said
@@ -193,6 +193,7 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
     likely = probability if remainder is None else as_probable(found.log_evidence, top)
     named, residue = _residue(found, by_id, top)
     left = found.probability.get(key_of([*top.split("+"), UNKNOWN]), 0.0) > found.probability.get(top, 0.0)
+    left = left or found.beside > BESIDE
     if named == top or residue is None:
         rivals = _rivals(likely, by_id, top) if "+" not in top else _rival_sets(likely, found.pairs, by_id, top)
     else:
@@ -204,6 +205,8 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
         rivals = _rivals(beside, by_id, named) if "+" not in named else (named,)
     if remainder is not None and "+" not in named:
         rivals += tuple(name for name in _instead(found.log_evidence, first, named, by_id) if name not in rivals)
+    if remainder is None and residue is None and likely.get(UNKNOWN, 0.0) > likely.get(top, 0.0) / 10:
+        rivals = (*rivals, UNKNOWN)
     return _named(tuple(named.split("+")), rivals, remainder or residue, left)
 
 

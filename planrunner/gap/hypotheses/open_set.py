@@ -3,8 +3,9 @@
 one channel or in a triad. Patterns of the coefficients lie in the span of the basis that describes each segment
 (`evidence.spectrum`); bursts and tones lie outside it (`outside`). Some patterns of the coefficients differ at random from segment
 to segment, or change smoothly with rate, gravity, temperature or time: offsets, changes of the scale factor, transients, and
-waveforms per turn or per rocking period (`patterns`). Further patterns of the coefficients are a deviation in a single segment, and
-a bias that repeats with an unknown period. The competitors are evaluated like effects, individually and in combination.
+waveforms per turn or per rocking period (`patterns`). Further patterns of the coefficients are a deviation in a single segment,
+offsets of a few seconds (`short_offsets`), and a bias that repeats with an unknown period. The competitors are evaluated like
+effects, individually and in combination.
 
 In array shapes, M is the number of coefficients of a channel, K of channels, S of segments, and G of settings of the noise (levels
 of flicker and random walk). A scope is a channel or a triad.
@@ -25,6 +26,7 @@ from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.outside import PLAIN, Line, Outside, outside, scopes_of
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Rows, Sort, designs, factors, sizes, sorts
+from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets
 
 PERIODIC = Pattern("offset periodic in time", Sort.SEVERAL, Factor.TIME)
 ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
@@ -46,7 +48,8 @@ class Kinds:
     factor of combinations of patterns of different kinds. `by_channel`: for each competitor, an array of shape (K,): the log Bayes
     factor of the competitor in each channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns
     outside the coefficients. No effect of the catalogue acts outside the coefficients, so these patterns are independent of every
-    effect. `lines`: the strongest tone of each channel that shows a tone.
+    effect. `lines`: the strongest tone of each channel that shows a tone. `event`: array of shape (G,), log Bayes factor of a single
+    event of a few seconds, as noise contains it.
     """
 
     log_bayes: dict[Pattern, Array]
@@ -54,6 +57,7 @@ class Kinds:
     by_channel: dict[Pattern, Array]
     outside: float
     lines: tuple[Line, ...]
+    event: Array
 
 
 def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
@@ -62,12 +66,14 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
     patterns, beyond = _Patterns(weighing), outside_ or outside(weighing)
-    several = np.full(len(weighing.base), -np.inf)
+    several, event = np.full(len(weighing.base), -np.inf), np.full(len(weighing.base), -np.inf)
     each = {}
     for g in settings:
         channels = [whole[id(weight)] for weight in _weights(weighing, int(g))]
         each[g] = patterns.weighed(channels) | beyond.log_bayes
         several[g] = _several(patterns, channels, each[g])
+        single = patterns.short_offsets.weighed(patterns.scopes, channels)[1]
+        event[g] = float(log_mean_exp(single, 0)) + max(beyond.burst, 0.0)
     found = {pattern: np.full(len(weighing.base), -np.inf) for pattern in each[settings[0]]}
     for g, values in each.items():
         for pattern, value in values.items():
@@ -79,7 +85,7 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
         spectra = [eigen(left, design) for left, design in zip(first, per_channel, strict=True)]
         alone[pattern] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
     beside = float(log_mean_exp(np.array([log_mean_exp(value, 0) for value in beyond.log_bayes.values()]), 0))
-    return Kinds(found, several, alone, beside, beyond.lines)
+    return Kinds(found, several, alone, beside, beyond.lines, event)
 
 
 def something_else(weighing: Weighing, signatures: Sequence[Array] = (), explained: float = np.inf) -> float:
@@ -97,15 +103,48 @@ def something_else(weighing: Weighing, signatures: Sequence[Array] = (), explain
         varying = np.array(_by_scope(spectra, patterns.scopes))
         if any(len(values) for values, _ in spectra) and float(log_mean_exp(varying, 0)) <= explained:
             each[pattern] = varying
+    return _in_coefficients(patterns, channels, each)
+
+
+def _in_coefficients(patterns: _Patterns, channels: list[Left], each: dict[Pattern, Array]) -> float:
+    """Returns the log Bayes factor of the patterns that lie in the coefficients: the mean over single patterns and over combinations
+    of patterns. `each`: log Bayes factor of each pattern in each scope."""
     kinds = [float(log_mean_exp(value, 0)) for value in each.values()]
     return float(log_mean_exp(np.array([*kinds, _several(patterns, channels, each)]), 0))
 
 
 def unknown(kinds: Kinds) -> Array:
     """Returns the log Bayes factor of "something else", shape (G,): the mean over single patterns and over combinations of
-    patterns. A periodic bias is also evaluated in combination with the patterns outside the coefficients."""
-    periodic = kinds.log_bayes[PERIODIC] + _maybe(kinds.outside)
-    return log_mean_exp(np.array([*kinds.log_bayes.values(), kinds.several, periodic]), 0)
+    patterns. A periodic bias and short offsets are also evaluated in combination with the patterns outside the coefficients."""
+    return log_mean_exp(np.array(_forms(kinds)), 0)
+
+
+def forms_of_unknown(kinds: Kinds) -> int:
+    """Returns the number of patterns and combinations of patterns among which the probability of "something else" is divided."""
+    return len(_forms(kinds))
+
+
+def _forms(kinds: Kinds) -> list[Array]:
+    both = [kinds.log_bayes[pattern] + _maybe(kinds.outside) for pattern in (PERIODIC, SHORT_OFFSETS)]
+    return [*kinds.log_bayes.values(), kinds.several, *both]
+
+
+def look_alike(weighing: Weighing, signatures: Sequence[Array]) -> float:
+    """Returns the log Bayes factor of a cause outside the catalogue that resembles an effect, relative to this effect. The cause has
+    a separate size in each motion. In addition, other patterns may act, with probability ½. `signatures`: for each channel, the
+    coefficients (M,) that the effect causes. The result is −∞ if the effect acts in fewer than two motions."""
+    channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
+    _, by_motion = sizes(weighing, signatures)
+    if np.any([design.any(axis=0) for design in by_motion], axis=0).sum() < 2:
+        return -np.inf
+    everywhere = [list(range(len(channels)))]
+    free, alike = (
+        _by_scope([eigen(left, own) for left, own in zip(channels, each, strict=True)], everywhere)[0]
+        for each in (by_motion, [own[:, None] for own in signatures])
+    )
+    beside = [Left.whole(left.weight.beside(own)) for left, own in zip(channels, by_motion, strict=True)]
+    patterns = _Patterns(weighing)
+    return free - alike + _maybe(_in_coefficients(patterns, beside, patterns.weighed(beside)))
 
 
 def _weights(weighing: Weighing, g: int) -> list[ChannelWeights]:
@@ -153,6 +192,7 @@ class _Patterns:
 
     def __init__(self, weighing: Weighing):
         self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)
+        self.short_offsets = ShortOffsets(weighing)
         self.means, self.scopes = weighing.spectrum.means, scopes_of(weighing)
         self._known: dict[tuple[Pattern, Left], Eigen] = {}
 
@@ -169,6 +209,7 @@ class _Patterns:
             found[ODD_SEGMENT] = [_one_segment(self.means, channels)]
         if among is None:
             found[PERIODIC] = self.repeating.weighed(self.scopes, channels)
+            found[SHORT_OFFSETS] = list(self.short_offsets.weighed(self.scopes, channels)[0])
         return {pattern: np.array(each) for pattern, each in found.items()}
 
     def _eigen(self, pattern: Pattern, left: Left, design: Array | Rows) -> Eigen:

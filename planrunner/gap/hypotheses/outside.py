@@ -5,7 +5,9 @@ A tone keeps its frequency and its phase over the whole run. It is searched in t
 
 A burst is a window of a few seconds with a shifted bias or with larger noise, at a random time in a run. Every window contains a
 burst with the same small probability. The windows are parts of the remainder, so the part of a burst that the coefficients absorb
-is missing. A deviation that appears in most windows of segments of equal length is slow noise, not a burst.
+is missing. A deviation that appears in most windows of segments of equal length is slow noise, not a burst. The noise of real
+sensors contains rare single events. The evidence of the segment with the clearest bursts is therefore also stated alone: it is the
+evidence of an event that does not recur.
 
 In array shapes, N is the number of all samples, K of channels, F of frequencies, W of windows, and E of energies of a burst.
 """
@@ -57,12 +59,13 @@ class Outside:
     """Contains the evidence for the patterns outside the basis of the coefficients.
 
     `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
-    `causes`: those of these tones that count as separate causes.
+    `causes`: those of these tones that count as separate causes. `burst`: log Bayes factor of bursts in a single segment.
     """
 
     log_bayes: dict[Pattern, Array]
     lines: tuple[Line, ...]
     causes: tuple[Line, ...]
+    burst: float
 
 
 def outside(weighing: Weighing) -> Outside:
@@ -84,7 +87,9 @@ def outside(weighing: Weighing) -> Outside:
             if material and _tone([_Periodogram.of(scan, rest).power]) <= PLAIN:
                 causes[index] = lines[-1]
     tones = np.where([bool(causes.keys() & set(scope)) for scope in scopes], tones, np.minimum(tones, 0.0))
-    return Outside({TONE: tones, BURSTS: bursts(weighing, scopes)}, tuple(lines), tuple(causes.values()))
+    several, single = bursts(weighing, scopes)
+    burst = float(log_mean_exp(single, 0))
+    return Outside({TONE: tones, BURSTS: several}, tuple(lines), tuple(causes.values()), burst)
 
 
 def scopes_of(weighing: Weighing) -> list[list[int]]:
@@ -260,19 +265,25 @@ _DEVIATION = 0.6745  # median absolute deviation of a normal variable
 class _Windows:
     """A set of windows with the same number of samples.
 
-    `starts`: array of shape (W,), first sample of each window. `lasting`: array of shape (W,), number of samples of the segment to
-    which each window belongs. `kept`: array of shape (W,), fraction of the energy of a constant bias in the window that the
-    coefficients do not absorb.
+    `starts`: array of shape (W,), first sample of each window. `segment`: array of shape (W,), index of the segment to which each
+    window belongs. `lasting`: array of shape (W,), number of samples of this segment. `kept`: array of shape (W,), fraction of the
+    energy of a constant bias in the window that the coefficients do not absorb.
     """
 
     starts: NDArray[np.int64]
+    segment: NDArray[np.int64]
     lasting: NDArray[np.int64]
     kept: Array
 
+    @property
+    def clear(self) -> NDArray[np.bool_]:
+        """Returns a mask of the windows that show a constant bias. In the other windows, only the scatter is examined."""
+        return self.kept > KEPT
 
-def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
-    """Computes the log Bayes factor of bursts in the channels of each scope, shape (scopes,); −∞ if the recording is too short for
-    windows."""
+
+def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, Array]:
+    """Computes two log Bayes factors in the channels of each scope, each of shape (scopes,): of bursts, and of bursts in a single
+    segment. Both are −∞ if the recording is too short for windows."""
     observed, found = weighing.observed, []
     remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder)
     remainder /= (weighing.white * np.sqrt(weighing.noise.level))[observed.owner]
@@ -285,7 +296,8 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> Array:
             windows = _windows(weighing, within, size, begin) if size >= FEWEST else None
             if windows is not None:
                 found.append(_evidence(sums, windows, size, scopes, inefficiency))
-    return log_mean_exp(np.array(found), 0) if found else np.full(len(scopes), -np.inf)
+    several, single = log_mean_exp(np.array(found), 0).T if found else np.full((2, len(scopes)), -np.inf)
+    return np.asarray(several), np.asarray(single)
 
 
 def _of_short_windows(weighing: Weighing, both: tuple[Array, Array], within: Mapping[int, Array]) -> Array:
@@ -310,56 +322,60 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
     of the segment. Returns None if there are too few usable windows. `within`: for each basis, the cumulative sums of its
     vectors."""
     observed, spectrum = weighing.observed, weighing.spectrum
-    starts, lasting, kept = [], [], []
+    starts, segment, lasting, kept = [], [], [], []
     known: dict[int, Array] = {}
-    for motion, basis, part in zip(observed.motions, spectrum.bases, observed.segments(), strict=True):
+    parts = zip(observed.motions, spectrum.bases, observed.segments(), strict=True)
+    for index, (motion, basis, part) in enumerate(parts):
         own = np.arange(begin, part.stop - part.start - size + 1, size)
         if not isinstance(motion, Rest | Spin) or not len(own):
             continue
         if id(basis) not in known:
             sums = within[id(basis)]
             known[id(basis)] = 1 - ((sums[own + size] - sums[own]) ** 2).sum(1) / size
-        clear = known[id(basis)] > KEPT
-        starts.append(part.start + own[clear])
-        kept.append(known[id(basis)][clear])
-        lasting.append(np.full(int(clear.sum()), part.stop - part.start))
+        starts.append(part.start + own)
+        segment.append(np.full(len(own), index))
+        lasting.append(np.full(len(own), part.stop - part.start))
+        kept.append(known[id(basis)])
     if not starts:
         return None
-    found = _Windows(np.concatenate(starts), np.concatenate(lasting), np.concatenate(kept))
-    _, which, counts = np.unique(found.lasting, return_inverse=True, return_counts=True)
+    every = [np.concatenate(each) for each in (starts, segment, lasting, kept)]
+    _, which, counts = np.unique(every[2], return_inverse=True, return_counts=True)
     many = counts[which] >= FEWEST
-    return _Windows(found.starts[many], found.lasting[many], found.kept[many]) if many.any() else None
+    return _Windows(*(each[many] for each in every)) if many.any() else None
 
 
 def _evidence(
     both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
 ) -> Array:
-    """Returns the log Bayes factor of bursts, from windows of one size, shape (scopes,). `both`: cumulative sums of the samples in
-    units of the noise, and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which
-    coloured noise reduces the degrees of freedom of a sum of squares."""
+    """Returns the log Bayes factors of bursts and of bursts in a single segment, from windows of one size, shape (scopes, 2).
+    `both`: cumulative sums of the samples in units of the noise, and cumulative sums of the squares of these samples.
+    `inefficiency`: array of shape (K,), factor by which coloured noise reduces the degrees of freedom of a sum of squares."""
     mean, rest = _normalised(both, windows, size)
     offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
+    offset[~windows.clear] = 0.0
     noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1))
     noisier /= np.maximum(inefficiency, _overdispersion(rest, size - 1.0))[:, None]
-    found = np.empty((len(scopes), 3))
+    found = np.empty((len(scopes), 3, 2))
     for row, scope in enumerate(scopes):
         forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
-        found[row] = [_here_and_there(form) for form in forms]
+        found[row] = [_here_and_there(form, windows.segment) for form in forms]
     return log_mean_exp(found, 1)
 
 
 def _normalised(both: tuple[Array, Array], windows: _Windows, size: int) -> tuple[Array, Array]:
     """Returns the energies of the mean and of the remaining scatter of each window, each of shape (W, K). The energies are divided
-    by the median energy of the windows in segments of equal length, if this median exceeds the median for white noise. `both`: the
-    same as in `_evidence`. `size`: number of samples of a window."""
+    by the median energy of the windows in segments of equal length, if this median exceeds the median for white noise. In windows
+    that do not show a constant bias, the energy of the mean is not used. `both`: the same as in `_evidence`. `size`: number of
+    samples of a window."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size
     rest = np.maximum(squares[last] - squares[first] - mean, 0.0)
-    mean /= windows.kept[:, None]
+    mean /= np.where(windows.clear, windows.kept, 1.0)[:, None]
     for lasting in np.unique(windows.lasting):
         alike = windows.lasting == lasting
-        mean[alike] /= np.maximum(np.median(mean[alike], axis=0) / _MEDIAN, 1.0)
+        if (clear := alike & windows.clear).any():
+            mean[clear] /= np.maximum(np.median(mean[clear], axis=0) / _MEDIAN, 1.0)
         rest[alike] /= np.maximum(np.median(rest[alike], axis=0) / (size - 1), 1.0)
     return mean, rest
 
@@ -379,8 +395,21 @@ def _larger(energy: Array, degrees: float, added: Array) -> Array:
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
-def _here_and_there(windows: Array) -> float:
-    """Returns the log Bayes factor of bursts relative to no bursts. With bursts, every window has the same small probability of
-    containing one. `windows`: array of shape (W, E), log Bayes factor of a burst in each window at each energy."""
-    each = [np.logaddexp(np.log1p(-chance), np.log(chance) + windows).sum(0) for chance in CHANCES]
-    return float(log_mean_exp(np.array(each).ravel(), 0))
+def _here_and_there(windows: Array, segment: NDArray[np.int64]) -> Array:
+    """Returns two log Bayes factors relative to no bursts, shape (2,): of bursts, and of bursts in a single segment. With bursts,
+    every window has the same small probability of containing one. `windows`: array of shape (W, E), log Bayes factor of a burst in
+    each window at each energy. `segment`: array of shape (W,), index of the segment of each window."""
+    each = []
+    for chance in CHANCES:
+        gains = np.logaddexp(0.0, np.log(chance / (1 - chance)) + windows)
+        each.append(len(windows) * np.log1p(-chance) + whole_and_largest(gains, segment))
+    return np.asarray(log_mean_exp(np.concatenate(each, axis=1), 1))
+
+
+def whole_and_largest(gains: Array, segment: NDArray[np.int64]) -> Array:
+    """Sums the gains (W, …) of events over all segments and, for comparison, over the segment with the largest sum, shape (2, …).
+    `segment`: array of shape (W,), index of the segment of each event."""
+    names, which = np.unique(segment, return_inverse=True)
+    by_segment = np.zeros((max(len(names), 1), *gains.shape[1:]))
+    np.add.at(by_segment, which, gains)
+    return np.array([by_segment.sum(0), by_segment.max(0)])

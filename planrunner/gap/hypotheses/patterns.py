@@ -128,7 +128,8 @@ def designs(weighing: Weighing) -> Iterator[PatternDesign]:
     for h, sort in HARMONICS.items():
         yield WHOLE[sort], [rows[sort]] * everywhere
         alike = Pattern(f"{h} per turn, alike", sort, Factor.TABLE_ANGLE)
-        yield alike, [_alike(weighing, rows[sort])] * everywhere
+        same, along = _alike(weighing, rows[sort]), _along_axis(weighing, h)
+        yield alike, [np.hstack([same, along[channel.axis]]) for channel in observed.channels]
     yield WHOLE[Sort.ROCKING], [rows[Sort.ROCKING]] * everywhere
     slow = (spectrum.harmonic == 0) & _changing(observed)[spectrum.segment]
     yield CHANGING, [slow] * everywhere
@@ -319,3 +320,17 @@ def _alike(weighing: Weighing, rows: NDArray[np.bool_]) -> Array:
         for power in range(3):
             out[rows, 3 * part + power] = np.where(phase, size * rate**power, 0.0)
     return out
+
+
+def _along_axis(weighing: Weighing, h: int) -> list[Array]:
+    """Returns, for each axis of the sensor, columns for an error of the table that is proportional to its rate and has `h` periods
+    per turn. Such an error appears in all segments in which the table moves, and only along the axis of the table."""
+    observed, spectrum = weighing.observed, weighing.spectrum
+    moving = np.array([isinstance(motion, Spin | Rock) for motion in observed.motions])
+    fastest = float(np.abs(observed.rate).max())
+    if not moving.any() or fastest <= 0:
+        return [np.zeros((len(spectrum.segment), 0))] * 3
+    waves = (
+        np.column_stack([np.cos(h * observed.angle), np.sin(h * observed.angle)]) * (observed.rate / fastest)[:, None]
+    )
+    return [spectrum.project(observed, waves * observed.table_axis[:, axis : axis + 1], moving) for axis in range(3)]

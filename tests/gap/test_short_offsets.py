@@ -1,0 +1,114 @@
+"""Causes outside the catalogue that effects of the catalogue used to imitate: offsets of a few seconds, events of the noise, and effects
+whose size depends on the motion in another way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.open_set import competitors
+from planrunner.gap.hypotheses.outside import BURSTS, whole_and_largest
+from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
+from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS
+from planrunner.plan.schedule import Rest, Spin
+from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Fault, kept, record
+
+Array = np.ndarray
+SIGMA = GYRO_WHITE * np.sqrt(RATE)
+THRICE = Pattern("3 per turn, alike", Sort.THRICE_PER_TURN, Factor.TABLE_ANGLE)
+
+
+def offsets(segments: dict[int, float], size: float) -> Fault:
+    """An offset of 3 s in the gyros in some segments, which begins at the given time in the segment, s."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        on = np.zeros(len(observed.time))
+        for index, start in segments.items():
+            since = observed.time - observed.time[observed.bounds[index]]
+            on += (observed.owner == index) & (since >= start) & (since < start + 3)
+        return size * SIGMA * np.outer(on, [1.0, -0.7, 0.3]), 0.0
+
+    return fault
+
+
+def test_a_few_offsets_of_some_seconds_are_one_pattern() -> None:
+    """The flexible pattern needs an amplitude for each coefficient of all segments, the short offsets need one for each offset."""
+    found = competitors(Weighing(record(seed=61, fault=offsets({2: 4.0, 9: 11.0, 17: 7.0, 25: 2.0}, 2.0)))).log_bayes
+    assert found[SHORT_OFFSETS][0] > found[WHOLE[Sort.TRANSIENT]][0] + 20
+    assert found[SHORT_OFFSETS][0] > 60
+
+
+@pytest.mark.slow
+def test_noise_holds_no_short_offsets() -> None:
+    """Bayes factors of what is not there are below one on average."""
+    found = np.array([competitors(Weighing(record(seed=100 + k))).log_bayes[SHORT_OFFSETS][0] for k in range(40)])
+    assert found.max() < 3
+    assert np.exp(found).mean() < 1
+
+
+@pytest.mark.parametrize(
+    ("segments", "size", "kind"),
+    [({9: 11.0}, 1.0, "none"), ({9: 11.0}, 8.0, "unknown"), ({3: 3.0, 9: 11.0, 17: 7.0}, 1.0, "unknown")],
+)
+def test_a_single_small_event_is_noise(segments: dict[int, float], size: float, kind: str) -> None:
+    """About eight standard deviations. Noise contains such an event now and then, but neither a much larger one nor several."""
+    assert diagnose(record(seed=62, fault=offsets(segments, size))).verdict.kind == kind
+
+
+def test_an_event_is_counted_in_its_segment() -> None:
+    gains = np.array([[3.0], [1.0], [0.5], [2.0]])
+    whole, largest = whole_and_largest(gains, np.array([0, 0, 4, 7]))
+    assert (whole[0], largest[0]) == (6.5, 4.0)
+
+
+def test_bursts_are_found_while_the_table_turns_fast() -> None:
+    """Harmonics of a fast turn are in the coefficients of a segment, so that no window there shows an offset. It shows the scatter."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        out = np.zeros(len(observed.time))
+        for index in np.flatnonzero([isinstance(m, Spin) for m in observed.motions])[::4]:
+            since = observed.time - observed.time[observed.bounds[index]] - 8
+            out += np.where((since >= 0) & (since < 4), np.cos(2 * np.pi * 4.3 * since), 0.0)
+        return 2.0 * SIGMA * np.outer(out, [1.0, 0.0, -0.7]), 0.0
+
+    assert competitors(Weighing(record(seed=63, fault=fault))).log_bayes[BURSTS][0] > 30
+
+
+@pytest.mark.parametrize(("sizes", "kind"), [((1.0, 1.0, 1.0), "effect"), ((1.0, -1.6, 0.5), "unknown")])
+def test_an_effect_whose_size_is_another_in_each_motion_is_imitated(sizes: tuple[float, ...], kind: str) -> None:
+    """An asymmetry at 18, 40 and 90 °/s."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        rate = np.abs(observed.rate) / DEG
+        size = np.select([rate < 25, rate < 60], sizes[:2], sizes[2])
+        return 1.5e-4 * np.abs(omega) * size[:, None], 0.0
+
+    found = diagnose(record(seed=64, fault=fault))
+    assert found.verdict.kind == kind
+
+
+def test_a_ripple_of_the_table_is_the_same_in_every_motion() -> None:
+    """The rate of the table has three ripples per turn, of 100 ppm."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return 1e-4 * np.cos(3 * observed.angle + 0.4)[:, None] * omega, 0.0
+
+    found = competitors(Weighing(record(seed=65, fault=fault))).log_bayes
+    assert found[THRICE][0] > found[WHOLE[Sort.THRICE_PER_TURN]][0] + 20
+
+
+def test_a_class_contains_something_else_if_the_plan_cannot_exclude_it() -> None:
+    """All turns come after all rests: what appears while the table turns may also have begun at that time."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[float, Array]:
+        return 0.0, ACCEL_WHITE * np.outer(observed.rate != 0, [2.0, -1.0, 1.5])
+
+    whole = record(seed=66, fault=fault)
+    first = [index for index, m in enumerate(whole.motions) if isinstance(m, Rest) and index < 12]
+    turns = [index for index, m in enumerate(whole.motions) if isinstance(m, Spin)]
+    said = diagnose(kept(whole, first + turns)).verdict
+    assert said.kind == "indistinguishable"
+    assert {"accel_bias_step", "unknown"} <= set(said.members)
