@@ -142,7 +142,10 @@ def look_alike(weighing: Weighing, signatures: Sequence[Array]) -> float:
         _by_scope([eigen(left, own) for left, own in zip(channels, each, strict=True)], everywhere)[0]
         for each in (by_motion, [own[:, None] for own in signatures])
     )
-    beside = [Left.whole(left.weight.beside(own)) for left, own in zip(channels, by_motion, strict=True)]
+    beside = [
+        Left.whole(left.weight.beside(np.asarray(own, dtype=float)))
+        for left, own in zip(channels, by_motion, strict=True)
+    ]
     patterns = _Patterns(weighing)
     return free - alike + _maybe(_in_coefficients(patterns, beside, patterns.weighed(beside)))
 
