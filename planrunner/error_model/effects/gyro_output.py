@@ -287,22 +287,6 @@ def _changed(
     return Variant((whole(parts, acting),), shape)
 
 
-class GyroBiasRandomWalk:
-    """Adds a random walk to the bias, beyond the declared noise, with the covariance q²·min(t, t') between the times t and t',
-    where q is the rate random walk coefficient."""
-
-    id, stage, outside = "gyro_bias_random_walk", "covariance", "random walk"
-    about = About(
-        "gyro bias wanders",
-        "The bias of each gyro changes at random, and the changes add up over time.",
-        Actor.SENSOR,
-        "Repeat readings at rest more often, and let the sensor stabilise for longer before the run: {found}.",
-    )
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        return []
-
-
 class GyroNoiseExcess:
     """Raises the white noise density of the gyros above the declared density."""
 

@@ -1,10 +1,25 @@
-"""Effects that change biases randomly over time: a random walk of the accelerometers, and first-order Gauss–Markov processes. The
-random walk of the gyros' bias is in `gyro_output`."""
+"""Effects that change biases randomly over time: random walks, and first-order Gauss–Markov processes."""
 
 from __future__ import annotations
 
 from planrunner.error_model.effects.interface import About, Actor, Variant
 from planrunner.error_model.observed import Observed
+
+
+class GyroBiasRandomWalk:
+    """Adds a random walk to the bias, beyond the declared noise, with the covariance q²·min(t, t') between the times t and t',
+    where q is the rate random walk coefficient."""
+
+    id, stage, outside = "gyro_bias_random_walk", "covariance", "random walk"
+    about = About(
+        "gyro bias wanders",
+        "The bias of each gyro changes at random, and the changes add up over time.",
+        Actor.SENSOR,
+        "Repeat readings at rest more often, and let the sensor stabilise for longer before the run: {found}.",
+    )
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
 
 
 class AccelBiasRandomWalk:
