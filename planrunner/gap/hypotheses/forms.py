@@ -182,17 +182,14 @@ def _resettled(
     return usable, log_bayes
 
 
-def _together(
-    weighing: Weighing, effect: Shaped, best: Weighed, values: Sequence[Array] | None, widths: Sequence[float] = _WIDTHS
-) -> list[Array]:
+def _together(weighing: Weighing, effect: Shaped, best: Weighed, values: Sequence[Array] | None) -> list[Array]:
     """Fits the nominal parameters together with an effect of amplitude 1, and returns their values (q,) for each channel, in
     magnitudes. `best`: the form of the effect. `values`: nominal parameters at which the fit may start; None if no such parameters
-    are known. `widths`: the same as in `settled`."""
+    are known."""
     acting, taken = on_output(effect), [raw[:, 0] for raw in best.raw]
     if acting is None or values is None:
         values = weighing.nominal_values(taken)
-    shape = float(best.variant.shape or 0.0)
-    return list(values) if acting is None else settled(weighing, acting, shape, values, widths=widths)
+    return list(values) if acting is None else settled(weighing, acting, float(best.variant.shape or 0.0), values)
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed]) -> tuple[tuple[Weighed, float], ...]:
@@ -249,7 +246,6 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
 _STEPS = 20
 _STEPS_BESIDE = 3  # steps beside other effects, whose amplitudes are fitted again before the next steps
 _ROUNDS = 15
-_NEAR = 0.01  # change of the logarithm of a shape below which the nominal parameters of the preceding shape are nearly right
 _SAME = 0.05  # standard deviations by which two shapes may differ and count as the same
 _DROP = 0.5  # nats below the best: one standard deviation
 _TOLD = 1.0  # nats that an effect of any shape must explain beyond none
@@ -302,8 +298,7 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
     shape, last, acting = float(best.variant.shape or 0.0), np.nan, on_output(effect)
     visited: list[tuple[float, _Found]] = []
     for _ in range(_STEPS if near is None else _STEPS_BESIDE):
-        settles = abs(np.log(shape / last)) < _NEAR
-        values = _together(weighing, effect, best, values, _WIDTHS[-2:] if settles else _WIDTHS)
+        values = _together(weighing, effect, best, values)
         seen, before, last = weighing.seen(values), last, shape
         along = weighing if acting is None else moving(weighing, acting, shape, values, columns)
         shape, sigma = _most_probable(along, effect, seen, last)
@@ -523,12 +518,7 @@ def moving(
 
 
 def settled(
-    weighing: Weighing,
-    effect: Shaped,
-    shape: float,
-    values: Sequence[Array],
-    amplitude: float = 1.0,
-    widths: Sequence[float] = _WIDTHS,
+    weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], amplitude: float = 1.0
 ) -> list[Array]:
     """Fits the nominal parameters together with an effect on the output. Returns the values (q,) of the parameters of each channel,
     in magnitudes. `shape`, `amplitude`: the form of the effect and its amplitude. `values`: values of the nominal parameters at
@@ -536,14 +526,14 @@ def settled(
 
     Repeated fits to the data minus the effect would converge slowly: in segments with a limited output, these data follow the scale
     factor of the preceding fit. Therefore, the fit includes the change of the effect with the parameters (Gauss–Newton). The first
-    derivatives are differences over wide steps (`widths`, in standard uncertainties of the output): within a dead zone, the output
+    derivatives are differences over wide steps (`_WIDTHS`): within a dead zone, the output
     is zero, and the exact derivative would not show how to leave the dead zone.
     """
     found, steps, change = list(values), _steps(weighing), list[Array]()
     for number in range(_FITS):
         seen = replace(weighing.observed, fitted=weighing.output_at(found))
-        if number < len(widths):
-            change = _changes(weighing, effect, shape, seen, amplitude, widths[number] * steps)
+        if number < len(_WIDTHS):
+            change = _changes(weighing, effect, shape, seen, amplitude, _WIDTHS[number] * steps)
         caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(seen, shape).columns)
         fixed = [raw.sum(axis=1) * amplitude - own @ at for raw, own, at in zip(caused, change, found, strict=True)]
         before, found = found, weighing.nominal_values(fixed, change)
@@ -551,7 +541,7 @@ def settled(
             own[0].whiten(whole @ (new - old)[:, None])
             for own, whole, new, old in zip(weighing.weights, weighing.whole, found, before, strict=True)
         ]
-        if number >= len(widths) - 1 and max(float((part**2).sum()) for part in moved) < _STILL**2:
+        if number >= len(_WIDTHS) - 1 and max(float((part**2).sum()) for part in moved) < _STILL**2:
             break
     return found
 
