@@ -24,6 +24,7 @@ from planrunner.instruments.sample_rates import RowsAtOneRate, SampleRates
 from planrunner.plan.span import ROUNDING, Span
 
 GAP = 1.5
+_MISSING = 0.05  # of a segment, at its beginning or its end: less is a table of segments with rounded times
 """If two consecutive samples are further apart than this number of sample periods, a sample is missing. A segment may also end this
 long after its last sample."""
 LEAST_ROWS = 100
@@ -179,6 +180,7 @@ def scan(
     for one, seen in zip(wanted, found.seen, strict=True):
         _on_segment(one, seen, found, name, log)
     _on_gaps(wanted, found, name, log)
+    _on_ends(wanted, found, name, log)
     _on_rates(found, name, log)
     _on_dead(found, name, live, log)
     _on_missing(wanted, found, name, log)
@@ -232,6 +234,25 @@ def _on_gaps(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -
         f"{seen.at:.9g} s in '{one.label}'"
     )
     log.warning("recording-gap", one.mark, message, "check the logger; estimates use the existing samples")
+
+
+def _on_ends(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -> None:
+    """Warns of the segment with the longest time without samples at its beginning or its end. After a jump of the recorded time, the
+    table of segments no longer agrees with the samples."""
+    worst, longest, place = None, 0.0, (0.0, 0.0)
+    for one, seen in zip(wanted, found.seen, strict=True):
+        start, end = max(one.played.start, found.first), min(one.played.end, found.last + found.period)
+        last = seen.last + found.period
+        for low, high in ((start, seen.first), (last, end)) if seen.rows else ():
+            if high - low > max(GAP * found.period, _MISSING * (end - start), longest):
+                worst, longest, place = one, high - low, (low, high)
+    if worst is not None:
+        message = (
+            f"{name}: '{worst.label}' has no samples from {place[0]:.9g} s to {place[1]:.9g} s, at one of its ends: samples are missing, "
+            "or the recorded time jumps"
+        )
+        hint = "compare the table of segments with the recording; estimates use the existing samples"
+        log.warning("recording-gap", worst.mark, message, hint)
 
 
 def _on_rates(found: _Pass, name: str, log: Findings) -> None:

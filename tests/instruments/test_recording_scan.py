@@ -170,3 +170,16 @@ def test_check_counts_the_poses_of_a_plan_without_any_data(tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     assert main(["check", "plan.yaml"]) == code
     assert ("error[physics-poses]" in capsys.readouterr().err) == (code == 2)
+
+
+def test_a_segment_whose_end_has_no_samples_is_named(tmp_path):
+    """The time jumps by 1.5 s within the first segment, so its last samples have times of the second segment."""
+    time = TIME + 1.5 * (TIME > 0.75)
+    [(severity, code, line, message)] = looked_over(write(tmp_path, time, table=TABLE.replace("C,4,10", "C,4,11")))
+    assert (severity, code, line) == ("warning", "recording-gap", 2)
+    assert "'A' has no samples from 0.8 s to 2 s" in message and "the recorded time jumps" in message
+
+
+def test_rounded_times_of_segments_are_no_gap(tmp_path):
+    time = TIME[(TIME < 1.95) | (TIME > 2.05)]
+    assert not [one for one in looked_over(write(tmp_path, time)) if "has no samples" in one[3]]
