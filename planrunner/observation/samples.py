@@ -560,8 +560,8 @@ def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array
             "orientation and the rate of each segment, or record poses in other directions"
         )
     raise ObservationError(
-        "the readings of the poses are not close to a sphere of radius g: check the unit of the channels, and whether "
-        "the sensor was still"
+        "the readings of the poses are not close to a sphere of radius g (the median of their lengths is "
+        f"{float(np.median(lengths)) / gravity:.3g} g): check the unit of the channels, and whether the sensor was still"
     )
 
 

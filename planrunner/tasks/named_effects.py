@@ -14,7 +14,7 @@ from planrunner.error_model.effects.interface import Follows, FollowsSurrounding
 from planrunner.error_model.observed import orientation_key
 from planrunner.plan import source
 from planrunner.plan.rewriting import appended
-from planrunner.plan.schedule import Rest, Segment, Spin
+from planrunner.plan.schedule import RecordedMotion, Rest, Segment, Spin
 from planrunner.tasks.check import Checked, Document, Sound, check_plan
 from planrunner.tasks.simulate import additions_to, check_virtual, with_effects
 
@@ -46,8 +46,10 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
     outputs = _outputs(observed, effects)
     if not any(name in own for own in outputs.values() for name in named):
         why = "; ".join(f"{name}: {_why_not(effects[name], observed)}" for name in named)
-        raise InputError.at(where, "gap-estimate", f"the named effect cannot be estimated: {why}", "use --write-bench")
-    labels = [segment.label for segment in sound.schedule.segments if isinstance(segment.motion, Rest | Spin)]
+        hint = "use --compare, which adds the effect to a simulation" if sound.models.replays else "use --write-bench"
+        raise InputError.at(where, "gap-estimate", f"the named effect cannot be estimated: {why}", hint)
+    used = Rest | Spin | RecordedMotion
+    labels = [segment.label for segment in sound.schedule.segments if isinstance(segment.motion, used)]
     keys: dict[str, object] = {"estimator": "error_model"}
     if len(labels) < len(sound.schedule.segments):
         keys["segments"] = labels

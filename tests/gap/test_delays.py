@@ -13,8 +13,10 @@ import pytest
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
+from planrunner.gap.answer.diagnosis import DiagnosisOptions
 from planrunner.gap.hypotheses.delays import in_step
-from planrunner.tasks.diagnose import corrected_observation, recorded_file
+from planrunner.tasks.diagnose import corrected_observation, diagnose_recorded, recorded_file
+from planrunner.tasks.named_effects import plan_with_estimate
 from tests.gap.test_declarations import to_and_fro
 
 RATE = 100.0
@@ -123,3 +125,18 @@ def test_a_recording_in_a_file_is_read_again_without_its_delay(tmp_path: Path) -
     assert any(one.code == "gap-declaration" and "210" in one.message for one in findings)
     left = seen.values[:, 0] - 1.01 * seen.omega[:, 2] - np.radians(0.3)
     assert np.degrees(left.std()) < 0.2  # deg/s; with the delay, it would be more than 10
+
+
+def test_the_plan_of_an_effect_in_a_recorded_motion_contains_its_segments(tmp_path: Path) -> None:
+    """`--write-plan` adds an estimate over the segments with a recorded motion, which the check of the plan accepts."""
+    time = np.arange(8300) / RATE
+    rate = 40 * 2.1 * np.cos(2.1 * time) + 15 * 0.83 * np.cos(0.83 * time)
+    noise = np.random.default_rng(4).normal(0, 0.1, len(time))
+    angle = 40 * np.sin(2.1 * time) + 15 * np.sin(0.83 * time)
+    pq.write_table(pa.table({"t": time, "gz": 1.02 * rate + noise, "angle": angle}), tmp_path / "arm.parquet")
+    (tmp_path / "arm.yaml").write_text(PLAN + "diagnosis: {nominal: [gyro_bias]}\n", encoding="utf-8")
+    (tmp_path / "arm.bench.yaml").write_text(BENCH, encoding="utf-8")
+    recorded = recorded_file(tmp_path / "arm.yaml", None, tmp_path / "arm.parquet")
+    made = diagnose_recorded(recorded, DiagnosisOptions(("gyro_bias",), ("gyro_scale_factor",)))
+    assert made.diagnosis.verdict.effects == ("gyro_scale_factor",)
+    assert "diagnosed" in plan_with_estimate(made).sound().plan.estimates
