@@ -128,5 +128,5 @@ def test_bad_input_is_refused() -> None:
         unknown_orientations(tumbled(np.eye(3), np.zeros(3), 3, motion=Spin(0.1)))
     with pytest.raises(ObservationError, match=r"only 2 accelerometers are recorded"):
         poses(tumbled(np.eye(3), np.zeros(3), names=NAMES[:2]), SITE, SENSOR, ())
-    with pytest.raises(ObservationError, match="not close to a sphere of radius g .the median of their lengths is"):
+    with pytest.raises(ObservationError, match=r"not close to a sphere of radius g .the median of their lengths is"):
         poses(tumbled(np.eye(3) / 50, np.zeros(3)), SITE, SENSOR, FULL)
