@@ -340,15 +340,13 @@ class Weighing:
     def without_walks(self) -> Weighing:
         """Returns a copy with the settings of the noise that contain no random walk. These settings alone determine the evidence of a
         hypothesis without a random walk. There are few of them, so that it is computed faster."""
-        made = copy(self)
-        for name in ("base", "likeliest", "shape", "log_prior"):
-            made.__dict__.pop(name, None)
         kept = {kind: [k for k, one in enumerate(own) if one.walk == 0] for kind, own in self.settings.items()}
-        made.settings = {kind: tuple(own[k] for k in kept[kind]) for kind, own in self.settings.items()}
         kinds = [channel.kind for channel in self.observed.channels]
-        made.weights = [[own[k] for k in kept[kind]] for own, kind in zip(self.weights, kinds, strict=True)]
-        made.log_likelihood = [own[kept[kind]] for own, kind in zip(self.log_likelihood, kinds, strict=True)]
-        return made
+        return self._changed(
+            settings={kind: tuple(own[k] for k in kept[kind]) for kind, own in self.settings.items()},
+            weights=[[own[k] for k in kept[kind]] for own, kind in zip(self.weights, kinds, strict=True)],
+            log_likelihood=[own[kept[kind]] for own, kind in zip(self.log_likelihood, kinds, strict=True)],
+        )
 
     def fitted(self, values: Sequence[Array] | None = None) -> Array:
         """Returns the output of the nominal model, shape (N, K). `values`: the same as in `output_at`; by default, the nominal
@@ -387,25 +385,28 @@ class Weighing:
     def beside(self, known: Weighed) -> Weighing:
         """Returns a copy in which the columns of effects (`known`) count as nominal parameters, so that their amplitudes are free
         in every channel."""
-        made = self._with(lambda weight, channel: weight.beside(known.raw[channel]))
         acting = [raw[:, raw.any(axis=0)] for raw in known.raw]
-        made.nominal = [independent(np.hstack(parts)) for parts in zip(self.nominal, acting, strict=True)]
-        made.known = [np.hstack(parts) for parts in zip(self.known, acting, strict=True)]
-        return made
+        return self._with(
+            lambda weight, channel: weight.beside(known.raw[channel]),
+            nominal=[independent(np.hstack(parts)) for parts in zip(self.nominal, acting, strict=True)],
+            known=[np.hstack(parts) for parts in zip(self.known, acting, strict=True)],
+        )
 
     def with_known(self, columns: Sequence[Column], amplitudes: Array) -> Weighing:
         """Returns a copy in which the nominal output contains effects with known amplitudes. `columns`: P columns with samples.
         `amplitudes`: array of shape (P,) in magnitudes."""
         caused = [raw @ amplitudes for raw in coefficients_of(self.observed, self.spectrum, columns)]
-        made = self._with(lambda weight, channel: weight.without(caused[channel]))
-        made._reference = self._reference.copy()
+        reference = self._reference.copy()
         for column, amplitude in zip(columns, amplitudes, strict=True):
             acting = True if column.segments is None else column.segments[self.observed.owner]
             for channel, part in column.parts.items():
-                made._reference[:, channel] += np.where(acting, part, 0.0) * (column.magnitude * amplitude)
-        made.spectrum = replace(self.spectrum, values=self.spectrum.values - np.column_stack(caused))
-        made.observed = made.seen()
-        return made
+                reference[:, channel] += np.where(acting, part, 0.0) * (column.magnitude * amplitude)
+        made = self._with(
+            lambda weight, channel: weight.without(caused[channel]),
+            _reference=reference,
+            spectrum=replace(self.spectrum, values=self.spectrum.values - np.column_stack(caused)),
+        )
+        return made._changed(observed=made.seen())
 
     def moving(
         self, change: Sequence[Array], values: Sequence[Array], beside: Sequence[Array] | None = None
@@ -424,28 +425,35 @@ class Weighing:
                 nominal[index] = independent(
                     np.hstack([self.whole[index] + own, self.angles[index], self.known[index], free])
                 )
-        made = self._with(
-            lambda weight, channel: weight.refitted(nominal[channel], found[:, channel]) if changed[channel] else weight
+        return self._with(
+            lambda weight, channel: (
+                weight.refitted(nominal[channel], found[:, channel]) if changed[channel] else weight
+            ),
+            nominal=nominal,
+            spectrum=replace(self.spectrum, values=found),
         )
-        made.nominal, made.spectrum = nominal, replace(self.spectrum, values=found)
-        return made
 
     def inflated(self, ratios: Sequence[float]) -> Weighing:
         """Returns a copy in which the variance of each channel's noise has been multiplied by the ratio for this channel."""
         return self._with(lambda weight, channel: weight.inflated(ratios[channel]))
 
-    def _with(self, change: Callable[[ChannelWeights, int], ChannelWeights]) -> Weighing:
-        """Returns a copy with changed weights. Several settings can share the same weights. The log likelihood of a setting changes
-        by the same amount as the log likelihood of its weights."""
-        made = copy(self)
-        made.__dict__.pop("base", None)
-        made.__dict__.pop("likeliest", None)
-        made.weights, made.log_likelihood = [], []
+    def _with(self, change: Callable[[ChannelWeights, int], ChannelWeights], **attributes: object) -> Weighing:
+        """Returns a copy with changed weights, and with other changed attributes if any are given (`attributes`). Several settings can
+        share the same weights. The log likelihood of a setting changes by the same amount as the log likelihood of its weights."""
+        made, gains = [], []
         for channel, (weights, likelihood) in enumerate(zip(self.weights, self.log_likelihood, strict=True)):
             changed = {id(weight): change(weight, channel) for weight in weights}
-            made.weights.append([changed[id(weight)] for weight in weights])
+            made.append([changed[id(weight)] for weight in weights])
             gained = [changed[id(weight)].log_likelihood - weight.log_likelihood for weight in weights]
-            made.log_likelihood.append(likelihood + np.array(gained))
+            gains.append(likelihood + np.array(gained))
+        return self._changed(weights=made, log_likelihood=gains, **attributes)
+
+    def _changed(self, **attributes: object) -> Weighing:
+        """Returns a copy with changed attributes. Values that were computed from other attributes are not copied."""
+        made = copy(self)
+        for name in ("shape", "base", "log_prior", "likeliest"):
+            made.__dict__.pop(name, None)
+        made.__dict__.update(attributes)
         return made
 
     @cached_property
