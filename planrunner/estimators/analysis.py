@@ -259,8 +259,8 @@ def _coarse(recorded: RecordedSegment, channel: str, noise: NoiseModel) -> bool:
 def _carried(segments: Sequence[RecordedSegment], channel: str) -> bool:
     """Returns True if the rounding errors of a channel with coarse counts seem to be carried over from sample to sample. They then
     average out: the means of batches scatter less than the samples do. With a count q and white noise σ below q/√12, the ratio of
-    the two variances is below 1/3 in long batches. It is 1 if each sample is rounded by itself. The ratio is the mean over all
-    segments."""
+    the two variances is below 1/3 in long batches. The ratio is 1 if each sample is rounded by itself. The ratio is averaged over
+    all segments."""
     ratios, freedoms = [], []
     for one in segments:
         if channel not in one.units or not one.statistics.batches > 1 or not _changes(one, channel):

@@ -37,8 +37,8 @@ from planrunner.gap.hypotheses.patterns import Pattern
 
 BESIDE = 0.001  # probability of a tone or bursts beside an effect, from an independent cause
 EVENT = 0.02
-"""Probability that the noise of a recording contains a single event of a few seconds, for example a knock. Such an event is no
-cause of a gap; an event that recurs is."""
+"""Probability that the noise of a recording contains a single event of a few seconds, for example a knock. Such an event does not
+count as a cause of a gap; events that recur do."""
 LARGEST_EVENT = 50.0  # nats, half the energy of an event of ten standard deviations: larger events are no noise
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown": 0.15}
 """Prior probabilities. `several` is divided equally between two cases: three and more effects of the catalogue, and effects

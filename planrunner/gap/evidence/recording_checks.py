@@ -63,7 +63,8 @@ LIMITED = 20
 """An output counts as limited if at least this number of samples have its extreme value, and if this value occurs this many times as
 often as the value next to it."""
 HIDDEN = 0.03
-"""Share of the variance of the rates from which on the third differences of the rates show the motion rather than the noise."""
+"""If the noise variance that the third differences of the rates suggest is at least this fraction of the variance of the rates, the
+differences show fast motion rather than noise."""
 
 
 def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, where: str, log: Findings) -> None:
@@ -176,7 +177,7 @@ def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
     """Adds a note about the errors of the channels that measure the motion. White noise of variance s² in a rate makes a fitted
     scale factor smaller by s²/v, where v is the variance of the rate (W. A. Fuller, Measurement Error Models, 1987, section 1.1).
     s² is estimated from the third differences, which have the variance 20·s² for white noise. The third differences also contain
-    fast motion, so the result is an upper limit."""
+    fast motion, so the result is an upper limit. If it is at least the fraction `HIDDEN` of v, the note states no number."""
     whole = zip(observed.segments(), observed.moved, np.diff(observed.bounds), strict=True)
     parts = [rows for rows, moved, count in whole if moved and count > 3]
     if not parts:

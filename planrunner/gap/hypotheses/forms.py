@@ -526,8 +526,8 @@ def settled(
 
     Repeated fits to the data minus the effect would converge slowly: in segments with a limited output, these data follow the scale
     factor of the preceding fit. Therefore, the fit includes the change of the effect with the parameters (Gauss–Newton). The first
-    derivatives are differences over wide steps (`_WIDTHS`): within a dead zone, the output
-    is zero, and the exact derivative would not show how to leave the dead zone.
+    derivatives are differences over wide steps (`_WIDTHS`): within a dead zone, the output is zero, and the exact derivative would
+    not show how to leave the dead zone.
     """
     found, steps, change = list(values), _steps(weighing), list[Array]()
     for number in range(_FITS):

@@ -48,8 +48,8 @@ class Kinds:
     factor of combinations of patterns of different kinds. `by_channel`: for each competitor, an array of shape (K,): the log Bayes
     factor of the competitor in each channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns
     outside the coefficients. No effect of the catalogue acts outside the coefficients, so these patterns are independent of every
-    effect. `lines`: the strongest tone of each channel that shows a tone. `event`: array of shape (G,), log Bayes factor of a single
-    event of a few seconds, as noise contains it.
+    effect. `lines`: the strongest tone of each channel that shows a tone. `event`: array of shape (G,), log Bayes factor of a
+    single event of a few seconds, such as the noise of real sensors sometimes contains.
     """
 
     log_bayes: dict[Pattern, Array]

@@ -277,7 +277,8 @@ class _Windows:
 
     @property
     def clear(self) -> NDArray[np.bool_]:
-        """Returns a mask of the windows that show a constant bias. In the other windows, only the scatter is examined."""
+        """Returns a mask of the windows in which a constant bias would be visible. In the other windows, only the scatter is
+        examined."""
         return self.kept > KEPT
 
 
@@ -365,8 +366,8 @@ def _evidence(
 def _normalised(both: tuple[Array, Array], windows: _Windows, size: int) -> tuple[Array, Array]:
     """Returns the energies of the mean and of the remaining scatter of each window, each of shape (W, K). The energies are divided
     by the median energy of the windows in segments of equal length, if this median exceeds the median for white noise. In windows
-    that do not show a constant bias, the energy of the mean is not used. `both`: the same as in `_evidence`. `size`: number of
-    samples of a window."""
+    in which a constant bias would not be visible (`_Windows.clear`), the energy of the mean is not used. `both`: the same as in
+    `_evidence`. `size`: number of samples of a window."""
     sums, squares = both
     first, last = windows.starts, windows.starts + size
     mean = (sums[last] - sums[first]) ** 2 / size

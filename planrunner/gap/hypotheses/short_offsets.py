@@ -7,8 +7,8 @@ speak more clearly for them. The part of such an offset that lies outside the co
 
 Every window of the run contains an offset with the same small probability. The windows are found one at a time: the best window is
 chosen, its offset is fitted, and the next window is evaluated on what remains. The evidence is that of the chosen windows alone, so
-it is a lower limit of the evidence of all possible choices. As for bursts, the
-evidence of a single segment is also stated alone.
+it is a lower limit of the evidence of all possible choices. As for bursts, the evidence of a single segment is also stated alone.
+In array shapes, M is the number of coefficients of a channel, W of windows, and q of basis vectors.
 """
 
 from __future__ import annotations
@@ -130,7 +130,8 @@ def _evidence(windows: _Windows, channels: Sequence[Left]) -> Array:
 
 
 def _odds(chance: float) -> float:
-    """Returns the log prior odds of an offset in one of the `STEPS` positions of a window."""
+    """Returns the log prior odds of an offset in one of the `STEPS` positions of a window. `chance`: probability that a window
+    contains an offset."""
     return float(np.log(chance / (1 - chance) / STEPS))
 
 
