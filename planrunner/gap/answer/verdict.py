@@ -211,8 +211,9 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
 
 
 def _instead(log_evidence: Mapping[str, float], first: str, named: str, among: Collection[str]) -> list[str]:
-    """Returns the effects of the most probable hypothesis `first` that alone explain nearly all of the gap. If `named` is not in this
-    hypothesis, such an effect may act instead of `named`: an output at its limit, for example, shows a smaller scale factor."""
+    """Returns the effects of the most probable hypothesis `first` that alone explain nearly all of the gap. If `named` is not in
+    this hypothesis, such an effect may act instead of `named`: an output at its limit, for example, shows a smaller scale factor.
+    `log_evidence`: log evidence of each hypothesis. `among`: effects that may be returned."""
     parts = first.split("+")
     if named in parts:
         return []

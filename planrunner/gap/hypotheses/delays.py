@@ -81,8 +81,9 @@ def in_step(
 
 
 def _carried(observed: Observed, known: Mapping[str, float]) -> dict[str, float]:
-    """Returns the delays of all segments with a recorded motion. A segment that does not show its delay gets that of the segment before
-    it; the first segments get that of the first segment that shows it."""
+    """Returns the delays [s] of all segments with a recorded motion, by label. `known`: the delays [s] of the segments that show
+    their delay, by label. A segment that does not show its delay gets the delay of the segment before it; the first segments get
+    the delay of the first segment that shows it."""
     late, found = next(iter(known.values())), {}
     for label, moved in zip(observed.labels, observed.moved, strict=True):
         if moved:
@@ -91,8 +92,9 @@ def _carried(observed: Observed, known: Mapping[str, float]) -> dict[str, float]
 
 
 def _declared(observed: Observed, whole: Mapping[str, Delay], period: float) -> WrongDeclaration:
-    """Describes delays as a wrong declaration: as lost samples if the outputs are earlier from one segment on, and as a delay otherwise.
-    The outputs are shifted by whole samples, so the standard uncertainty is at least that of a rounding to whole samples."""
+    """Describes delays as a wrong declaration: as lost samples if the outputs are earlier from one segment on, and as a delay
+    otherwise. The outputs are shifted by whole samples, so the standard uncertainty is at least that of a rounding to whole
+    samples. `whole`: the delay of each segment, by label. `period`: sampling period, s."""
     labels, values = list(whole), np.array([one.seconds for one in whole.values()])
     u = float(np.hypot(max(one.uncertainty for one in whole.values()), period / np.sqrt(12)))
     if np.ptp(values) <= max(LATE, SURE * u):
@@ -130,7 +132,8 @@ def delays(observed: Observed, least: float) -> dict[str, Delay]:
 
 
 def _in_groups(each: Mapping[str, Delay], least: float) -> dict[str, Delay]:
-    """Returns the delays, each replaced by the median of the segments that follow each other without a change of the delay."""
+    """Divides successive segments into groups between which the delay changes clearly, by more than `least` [s]. Returns, for each
+    segment, the median of the delays in its group."""
     labels, values = list(each), np.array([one.seconds for one in each.values()])
     steps = np.abs(np.diff(values))
     scatter = max(1.4826 * float(np.median(steps)) / np.sqrt(2), min(one.uncertainty for one in each.values()))
@@ -143,7 +146,7 @@ def _in_groups(each: Mapping[str, Delay], least: float) -> dict[str, Delay]:
 
 
 def _of_segment(observed: Observed, rows: slice) -> Delay | None:
-    """Measures the delay of one segment; None if its motion does not show the delay."""
+    """Measures the delay of one segment; None if its motion does not show the delay. `rows`: the samples of the segment."""
     from scipy.interpolate import CubicSpline
     from scipy.optimize import minimize_scalar
 
@@ -166,7 +169,8 @@ def _of_segment(observed: Observed, rows: slice) -> Delay | None:
     course, own = CubicSpline(time, rates @ seen.T), seen[:, [axes[place] for place in told]]
 
     def residual(delay: float) -> float:
-        """Returns the mean share of the outputs that the rates do not explain; 1 if the outputs follow them with the wrong sign."""
+        """Returns the fraction of an output's energy that the rates of `delay` seconds earlier do not explain, averaged over the
+        outputs. The fraction counts as 1 for an output that follows the rates with the wrong sign."""
         earlier = course(time[inside] - delay)
         gains, *_ = np.linalg.lstsq(earlier - earlier.mean(axis=0), values, rcond=None)
         left = values - (earlier - earlier.mean(axis=0)) @ gains
