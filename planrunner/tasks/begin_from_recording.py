@@ -29,6 +29,8 @@ _DOUBTS = {
 }
 _NOISE = {"degC": ("K", 1.0), "degF": ("K", 5 / 9)}
 """For each unit of temperature: the unit of a temperature difference, and the conversion factor."""
+_UNCHANGED = 1e-6
+"""Threshold, in the unit of the accelerometers, if counts are so coarse that no reading changes at rest. It must be positive."""
 
 
 def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
@@ -166,7 +168,7 @@ def plan_of(look: Look, name: str) -> str:
             "# scale_factor.",
         ]
     elif directions >= LEAST_POSES and len(look.still) >= LEAST_RESTS:
-        threshold = MOVING * max(one.noise for one in triad)
+        threshold = MOVING * max(one.noise for one in triad) or _UNCHANGED
         still = f"{{detect: still, window: {WINDOW:g} s, threshold: {threshold:.3g} {triad[0].unit}, at_least: {AT_LEAST:g} s}}"
         if directions >= POSES:
             estimates = [

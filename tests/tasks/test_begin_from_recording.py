@@ -512,3 +512,20 @@ def test_real_recordings_get_a_plan_that_passes_its_check(
     assert main(["new", "--from-recording", str(DATA / name), str(plan), *given]) == 0, capsys.readouterr().err
     assert estimator in plan.read_text(encoding="utf-8")
     assert main(["check", str(plan), "--data", str((DATA / name).parent)]) == 0, capsys.readouterr().err
+
+
+def test_counts_that_hide_all_noise_give_a_threshold_above_zero(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Accelerations rounded to 1 m/s^2: no reading changes at rest, so the threshold cannot follow from the scatter. `check` refuses
+    a threshold of zero."""
+    _, gyro, accel = tumbled()
+    head = "gyro_x_rad/s,gyro_y_rad/s,gyro_z_rad/s,accel_x_m/s^2,accel_y_m/s^2,accel_z_m/s^2"
+    samples = np.column_stack([gyro, np.round(accel)])
+    np.savetxt(tmp_path / "coarse.csv", samples, "%.6f", ",", header=head, comments="")
+    plan = tmp_path / "coarse.yaml"
+    new = ["new", "--from-recording", str(tmp_path / "coarse.csv"), str(plan), "--sample-rate", f"{RATE} Hz"]
+    assert main(new) == 0, capsys.readouterr().err
+    assert "threshold: 1e-06 m/s^2" in plan.read_text(encoding="utf-8")
+    main(["check", str(plan)])
+    assert "meaning-range" not in "".join(capsys.readouterr())
