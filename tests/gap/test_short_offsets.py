@@ -100,6 +100,15 @@ def test_a_ripple_of_the_table_is_the_same_in_every_motion() -> None:
     assert found[THRICE][0] > found[WHOLE[Sort.THRICE_PER_TURN]][0] + 20
 
 
+def test_a_ripple_of_the_catalogue_is_no_pattern_outside_it() -> None:
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return 1e-3 * np.cos(observed.angle + 0.4)[:, None] * omega, 0.0
+
+    found = diagnose(record(seed=67, fault=fault))
+    assert found.verdict.effects == ("table_rate_ripple",)
+    assert not found.verdict.something_else
+
+
 def test_a_class_contains_something_else_if_the_plan_cannot_exclude_it() -> None:
     """All turns come after all rests: what appears while the table turns may also have begun at that time."""
 

@@ -79,6 +79,7 @@ changes."""
 SIZES = Pattern("size of the effect by motion", Sort.SEVERAL, Factor.RATE)
 SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
+KNOWN_RIPPLES = (1, 2)  # periods per turn of a ripple of the table's rate that is an effect of the catalogue
 
 
 def designs(weighing: Weighing) -> Iterator[PatternDesign]:
@@ -128,8 +129,12 @@ def designs(weighing: Weighing) -> Iterator[PatternDesign]:
     for h, sort in HARMONICS.items():
         yield WHOLE[sort], [rows[sort]] * everywhere
         alike = Pattern(f"{h} per turn, alike", sort, Factor.TABLE_ANGLE)
-        same, along = _alike(weighing, rows[sort]), _along_axis(weighing, h)
-        yield alike, [np.hstack([same, along[channel.axis]]) for channel in observed.channels]
+        same = _alike(weighing, rows[sort])
+        if h in KNOWN_RIPPLES:
+            yield alike, [same] * everywhere
+        else:
+            along = _along_axis(weighing, h)
+            yield alike, [np.hstack([same, along[channel.axis]]) for channel in observed.channels]
     yield WHOLE[Sort.ROCKING], [rows[Sort.ROCKING]] * everywhere
     slow = (spectrum.harmonic == 0) & _changing(observed)[spectrum.segment]
     yield CHANGING, [slow] * everywhere
