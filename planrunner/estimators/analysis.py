@@ -297,8 +297,8 @@ def _constant(segments: Sequence[RecordedSegment], channel: str) -> bool:
 
 def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str]) -> dict[str, float]:
     """Finds the counts of channels, in their units, from the first samples of each segment. Channels whose samples are not
-    multiples of a count are left out. Only segments at rest or at a constant rate are used, because their samples repeat. A segment
-    in which a channel keeps one value shows no count."""
+    multiples of a count are left out. Samples that screening excluded are not used. Only segments at rest or at a constant rate are
+    used, because their samples repeat. A segment in which a channel keeps one value shows no count."""
     taken: dict[str, list[Array]] = {}
     shown = max(_SHOWING // max(len(segments), 1), _LEAST_SHOWING)
     for one in segments:
@@ -310,7 +310,9 @@ def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str
             continue
         for name in names:
             values = np.asarray(block.channels[name][:shown], dtype=float)
-            taken.setdefault(name, []).append(values[np.isfinite(values)])
+            place = one.statistics.of(name)
+            kept = (values >= one.statistics.minimum[place]) & (values <= one.statistics.maximum[place])
+            taken.setdefault(name, []).append(values[kept])
     return {name: undeclared_step(np.concatenate(parts), _FEWEST) for name, parts in taken.items()}
 
 

@@ -185,8 +185,8 @@ def test_two_columns_of_one_name(play: Callable[..., Ended]) -> None:
     ids=["NaN", "inf", "too large to square", "nearly all"],
 )
 def test_samples_left_out_are_reported(play: Callable[..., Ended], rate: np.ndarray, lost: str) -> None:
-    code, out, _ = play(text(rate=rate))
-    assert code == 0
+    code, out, err = play(text(rate=rate))
+    assert code == 0, err
     assert f"warning: Samples that are missing or not a number were left out: {lost}." in out
 
 
