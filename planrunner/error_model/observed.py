@@ -232,8 +232,9 @@ class Observed:
     def with_model(
         self, *, fitted: Array | None = None, response: Array | None = None, scatter: Array | None = None
     ) -> Observed:
-        """Returns a copy with another nominal model; arguments that are None leave an attribute unchanged. The copy shares the motion at
-        every sample with this recording, so it is neither computed nor stored again."""
+        """Returns a copy with another nominal model; arguments that are None leave an attribute unchanged. The copy shares the
+        motion at every sample with this recording, so it is neither computed nor stored again. The arguments are the attributes
+        with these names."""
         made = replace(
             self,
             fitted=self.fitted if fitted is None else fitted,

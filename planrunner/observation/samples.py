@@ -79,7 +79,8 @@ def observed(
     with the Earth's rate is used. An input that varies once per turn with an unknown phase then counts as noise, as in a diagnosis
     (`Observed.unknown_phase`). If False, the angle is zero at the first sample, unless gravity shows the angle. Raises
     `ObservationError` if the recording cannot be diagnosed. `magnetic`: the Earth's magnetic field in East-North-Up, if it is
-    declared.
+    declared. `late`: maps the label of a segment to the time [s] by which its outputs are late relative to the recorded motion; the
+    outputs are shifted by this time.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -167,7 +168,8 @@ def _part(
 
     Returns four values: the planned states of the segment with its samples or, if `size` is given, with means over `size` samples;
     the rows as they were read; the uncertainty of the temperature, NaN if the temperature changes; and the motion, None if attitude
-    and angle describe it. `limits`: full scale of each output."""
+    and angle describe it. `limits`: full scale of each output. `power_on`, `free_angle`: the same as in `observed`. `late`: time
+    [s] by which the outputs are late relative to the recorded motion."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
         return _moved_part(item, motion, site, limits, channels, monitors, power_on, size, late)

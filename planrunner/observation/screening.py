@@ -187,7 +187,7 @@ class _Window:
 
     `low`, `high`: bounds of the piece, which is values[low:high]. `usual`, `count`: mean change between neighbouring samples, and
     size of a count, both as they were known when the piece was examined. `places`: array of shape (n,), index of the sample before
-    each large change in the piece.
+    each large change in the piece. In the methods, `values`, `rows` and `times` have the same meaning as in `_Runs`.
     """
 
     values: Array
@@ -220,7 +220,8 @@ class _Runs:
     `lengths`: number of runs of each length; the last entry counts all longer runs. `long`: the longest runs. `row`, `time`: row
     and time of the first sample of the current run. `before`: value of the sample before the current run. `length`: number of
     samples in the current run so far. `count`: smallest change between samples, taken as the size of a count. `bend`: sum of the
-    absolute second differences of the samples. `bends`: number of second differences.
+    absolute second differences of the samples. `bends`: number of second differences. In the methods, `values`, `rows` and `times`
+    are arrays of shape (n,): values, row numbers and times [s] of successive samples.
     """
 
     lengths: RowNumbers = field(default_factory=lambda: np.zeros(_SHORT + 1, dtype=np.int64))
@@ -301,7 +302,8 @@ class _Runs:
 
 
 class Screening:
-    """Screens one segment in one pass over its samples."""
+    """Screens one segment in one pass over its samples. In the methods, k is the index of a channel, and `values`, `rows` and
+    `times` are arrays of shape (n,): values of a channel, row numbers and times [s] of successive samples."""
 
     def __init__(
         self,
