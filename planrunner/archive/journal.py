@@ -127,10 +127,10 @@ class JournalScan:
 
     Iterate once over the events; after that, `head`, `count`, `size`, `torn`, `heads` and `digests` are known. `size`: number of
     bytes in complete lines. `torn`: number of bytes in an incomplete last line. `marks`: numbers of events after which the state of
-    the chain is stored. `heads`, `digests`: map each number in `marks` to the head of the chain and to the SHA-256 of the file,
-    both after this number of events. The two are also stored before each event `reopened`. `times`: maps each number in `marks` to
-    the time of the event with this number. `name`: name of the file, for messages. Raises `IntegrityError` if the chain is broken,
-    and `OSError` if the file cannot be read.
+    the chain is stored. `heads`: maps each number in `marks` to the head of the chain after this number of events. `digests`: maps
+    the same numbers to the SHA-256 of the file after this number of events. Head and SHA-256 are also stored before each event
+    `reopened`. `times`: maps each number in `marks` to the time of the event with this number. `name`: name of the file, for
+    messages. Raises `IntegrityError` if the chain is broken, and `OSError` if the file cannot be read.
     """
 
     def __init__(self, folder: GuardedFolder, marks: Collection[int] = (), name: str = NAME):

@@ -92,8 +92,8 @@ class Interruption:
             self._within_hook = False
 
     def _interrupt(self, raised: int) -> None:
-        """Repeats the interruption until it has been raised in the main thread. The interruption has been raised when the number of
-        raised interruptions exceeds `raised`."""
+        """Repeats the signal until it raises an interruption in the main thread, or until the context manager ends. `raised`: the
+        number of interruptions that were raised before the first repetition."""
         while True:
             time.sleep(AGAIN_AFTER)
             if self._raised > raised or not self._listening:

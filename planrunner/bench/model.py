@@ -336,8 +336,9 @@ def models(bench: Bench) -> BenchModels:
 
 def _origin(bench: Bench, drivers: Iterable[type[Driver[Record]]], replays: bool) -> DataOrigin:
     """Returns the origin of the bench's samples. The origin is simulated if at least one instrument is simulated. The simulation is
-    part of this program (which restores the state of the instrument after a crash), or a separate process at the address of the
-    instrument. `replays`: True if the sensor plays back a recording."""
+    part of this program, or a separate process at the address of the instrument. A driver whose simulation is part of this program
+    is `Resumable`, because the program can restore the state of the simulation after a crash. `replays`: True if the sensor plays
+    back a recording."""
     inside = any(issubclass(driver, Resumable) and not issubclass(driver, PlaysBack) for driver in drivers)
     if inside or bench.simulation is not None or (_virtual(bench, replays) and not replays):
         return "simulated"

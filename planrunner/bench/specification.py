@@ -6,11 +6,11 @@ factors. Therefore, even a very large bias or scale-factor error causes no gap b
 declares no limits, the usual limits of the sensor's grade apply.
 
 Sources. navigation, tactical: P. D. Groves, *Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems*, 2nd ed.,
-2013, table 4.1 (biases; a grade reaches to where the next one begins) and section 4.4.2 (scale factors and cross-coupling of 100 to
-1000 ppm, laser gyros below 100 ppm). consumer: data sheet PS-MPU-6000A-00, rev. 3.4, 2013, sections 6.1 and 6.2 (tolerances of
-zero-rate and zero-g output, sensitivity and cross-axis sensitivity). industrial: our judgement, between tactical and consumer, for
-factory-calibrated MEMS units. Noise: Groves, table 4.2, and data sheets of quiet units (ADIS16475: 0.15 deg/√h; MPU-6000: 0.005
-deg/s/√Hz, 400 µg/√Hz).
+2013, table 4.1 (biases; the range of a grade extends to the beginning of the next grade) and section 4.4.2 (scale factors and
+cross-coupling of 100 to 1000 ppm, laser gyros below 100 ppm). consumer: data sheet PS-MPU-6000A-00, rev. 3.4, 2013, sections 6.1
+and 6.2 (tolerances of zero-rate and zero-g output, sensitivity and cross-axis sensitivity). industrial: our judgement, between
+tactical and consumer, for factory-calibrated MEMS units. Noise: Groves, table 4.2, and data sheets of quiet units (ADIS16475: 0.15
+deg/√h; MPU-6000: 0.005 deg/s/√Hz, 400 µg/√Hz).
 """
 
 from __future__ import annotations

@@ -160,5 +160,6 @@ def _apart(axes: Sequence[TableAxis], first: Array, second: Array) -> Array:
 
 
 def _furthest(off: Array) -> Array:
-    """Returns the largest absolute difference among the joints of each row of `off` (n, joints), shape (n,)."""
+    """Returns the largest absolute value in each row of `off`, shape (n,). `off`: array of shape (n, joints), the differences that
+    `_apart` returns."""
     return np.asarray(np.abs(off).max(axis=1))

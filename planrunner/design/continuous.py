@@ -82,9 +82,9 @@ def solve(
 
     `weighting`: the matrix W (p, p) of the criterion tr(W·M⁻¹), or None for criterion D. `least`: smallest fraction that any
     candidate may have. `start`: fractions with which the iteration starts. `fixed`: array of shape (p, p), information per
-    observation that does not depend on the fractions. The iteration ends when the excess is below `tolerance` or after
-    `most_steps`. The result contains the remaining excess, and its bounds allow for the excess. Raises ValueError if the candidates
-    cannot determine all terms.
+    observation that does not depend on the fractions. The iteration ends when the excess (see `Continuous`) is at most `tolerance`,
+    or after `most_steps`. The result contains the remaining excess. The bounds that `determinant_bound` and `trace_bound` return
+    take this excess into account. Raises ValueError if the candidates cannot determine all terms.
     """
     rows = np.asarray(rows, dtype=float)
     count, p = rows.shape

@@ -231,7 +231,7 @@ class Foresight:
 
     @property
     def known(self) -> bool:
-        """Returns True if the coefficients of a run are known."""
+        """Returns True if the prediction states which coefficients a run will give."""
         return bool(self.predicted or self.unpredicted)
 
 

@@ -75,8 +75,8 @@ def agreement(fit: OutputsFit, basis: str) -> Agreement:
 
 
 def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> list[Outlier]:
-    """Finds the outliers of one output. `whole`: for each segment, the effects of an additional column, computed while no segment
-    has such a column yet."""
+    """Finds the outliers of one output. `whole`: the result of `weighed.shifts(())`, that is, before any segment has an
+    additional column."""
     from scipy.special import stdtr
 
     found: list[Outlier] = []
@@ -103,7 +103,7 @@ def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> li
 
 @dataclass(frozen=True, slots=True)
 class _Shifts:
-    """Contains, for each segment, the effects of one additional column for this segment.
+    """States, for each segment, how one additional column for this segment changes the fit.
 
     `errors`: array of shape (n,), the error δ of each segment. `drops`: array of shape (n,), the decrease of χ² due to the
     additional column. `errors` and `drops` are 0 for a segment that the model fits exactly, whatever its reading is. `redundancy`:
@@ -139,8 +139,8 @@ class _Weighed:
         return cls(covariance, whitening.T @ whitening, columns, fit.fits[k].residuals)
 
     def shifts(self, taken: tuple[int, ...]) -> _Shifts:
-        """Returns, for each segment, the effects of one additional column for this segment. `taken`: indices of the segments that
-        already have an additional column."""
+        """Computes, for each segment, how one additional column for this segment changes the fit. `taken`: indices of the segments
+        that already have an additional column."""
         n = len(self.residuals)
         columns = np.column_stack([self.columns, np.eye(n)[:, list(taken)]])
         weighted = self.weights @ columns

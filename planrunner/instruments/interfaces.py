@@ -263,8 +263,8 @@ class StreamsSamples(Protocol):
     def stream(self, segment: Segment) -> Iterator[Block]:
         """Yields the samples of one segment's dwell as they arrive, in blocks of bounded size. The stream ends with the dwell.
 
-        In real time, a block is yielded at least every second, so that the bench can be supervised between blocks; it has no rows
-        if no sample has arrived. If the sensor sends nothing for too long, `InstrumentError` is raised."""
+        In real time, a block is yielded at least every second, so that the bench can be supervised between blocks. If no sample has
+        arrived, this block has no rows. If the sensor sends nothing for too long, `InstrumentError` is raised."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -683,8 +683,8 @@ def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepVa
 
 
 def _figure(key: SweptKey, quantity: Quantity) -> str:
-    """Returns the number of a swept quantity for its label, in the unit as written. The module's docstring gives the rule for
-    signs."""
+    """Returns the number that stands in the label of a swept quantity, expressed in the unit that the plan states. The module's
+    docstring gives the rule for signs."""
     figure = f"{quantity.unit.from_si(quantity.value):.9g}"
     if float(figure) == 0:
         return "0"

@@ -20,7 +20,8 @@ from planrunner.plan.schedule import Schedule
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """Describes a reference of a certificate: an instrument of the bench, or its site, and the calibration if one is stated."""
+    """Describes a reference to which the results on a certificate are traceable: an instrument of the bench, or the site of the
+    bench. `calibration`: calibration of the instrument, or survey of the site; None if it is not stated."""
 
     name: str
     role: str

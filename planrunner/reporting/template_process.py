@@ -95,8 +95,8 @@ def _place(frame: FrameType | None) -> str | None:
 
 
 def _line(frame: FrameType) -> int:
-    """Returns the line of a frame that is executed at present. At the end of a loop, the jump has no line; the result is then the
-    line before it."""
+    """Returns the number of the line that a frame executes at present. At the end of a loop, the instruction that jumps back to
+    the start of the loop has no line number; the result is then the last line number before this instruction."""
     passed = [line for start, _, line in frame.f_code.co_lines() if line is not None and start <= frame.f_lasti]
     return passed[-1] if passed else frame.f_code.co_firstlineno
 

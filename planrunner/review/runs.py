@@ -56,8 +56,9 @@ class RunDifference:
 
 
 def run_difference(before: Mapping[str, Estimate], after: Mapping[str, Estimate], same_bench: bool) -> RunDifference:
-    """Returns the differences of all coefficients between two runs. `same_bench`: True if the declared errors of the bench belong
-    to the same instruments in both runs."""
+    """Returns the differences of all coefficients between two runs. `same_bench`: True if the bench files of both runs have the
+    same meaning. An error that both runs declare with the same values is then treated as one error that is common to both runs;
+    otherwise, the errors of the two runs are treated as independent."""
     found = []
     only: tuple[list[str], list[str]] = ([], [])
     for name in dict.fromkeys([*before, *after]):

@@ -150,7 +150,7 @@ def _day(entry: KeyEntry, name: str, log: Findings) -> date | None:
 
 
 def entry_text(name: str, public: PublicKey, roles: tuple[str, ...], until: str | None) -> str:
-    """Returns the entry for a key in the form in which the file of a key ring contains it under `keys:`."""
+    """Returns the entry of a key as YAML text, to be inserted under `keys:` in the file of a key ring."""
     lines = [f"  {name}:", f"    public: {public.line}"]
     if roles:
         lines.append(f"    roles: [{', '.join(roles)}]")

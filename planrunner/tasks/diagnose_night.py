@@ -28,7 +28,8 @@ def diagnose_night(
 ) -> Iterator[tuple[JsonObject | None, str]]:
     """Yields, for each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and a remark that states how many
     runs the diagnosis omits, empty if it omits none. If there is no diagnosis, the record is None and the remark gives the reason.
-    The last remarks, without a record, name the runs of the night without a device, and the damaged runs in the archive.
+    After the plans, up to two further remarks follow, with None as the record: one names the runs of the night that state no
+    device, the other names the damaged runs in the archive.
 
     `runs`: names of the run folders that the night made. Raises `InputError` if the index cannot be used.
     """

@@ -234,8 +234,8 @@ def _infinite(quantity: InputQuantity) -> bool:
 
 
 def _inputs(quantity: InputQuantity, rng: np.random.Generator, r: int, n: int) -> Array:
-    """Draws (r, n) of r inputs about their value, from the distributions of JCGM 101:2008, 6.4, scaled to their standard
-    uncertainty."""
+    """Draws n deviations of each of r inputs from its value, shape (r, n). The distribution is that of `quantity` (JCGM 101:2008,
+    6.4), scaled to the standard uncertainty of `quantity`."""
     u = quantity.standard_uncertainty
     match quantity.distribution:
         case "rectangular":

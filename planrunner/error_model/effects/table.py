@@ -19,10 +19,10 @@ def tilted(observed: Observed, axis: Array, name: str, turned: Array) -> Column:
     """Computes the column for a table base that is turned by an angle ε about a site axis. The sensor senses every site vector v as
     v − ε·axis × v.
 
-    The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), where A is the attitude at table angle 0 and R(−θ) is the rotation of the table.
-    The axis of the table turns with the base. For the sensor, the rate of the table about this axis is therefore unchanged. `turned`:
-    array of shape (3,) in rad, the complete rotation vector of the base, for which the column is exact (see `secant`); zero for small
-    angles.
+    The attitude of the sensor is A·R(−θ)·(I − ε[axis×]), where A is the attitude at table angle 0 and R(−θ) is the rotation of the
+    table. The axis of the table turns with the base. For the sensor, the rate of the table about this axis is therefore unchanged.
+    `turned`: array of shape (3,) in rad, the rotation vector of the base for which the columns of all axes together are exact (see
+    `secant`). If it is zero, the column is valid for small angles.
     """
     earth, force = observed.site.earth_rate_enu, observed.site.specific_force_enu
     omega = observed.in_sensor_axes(secant(axis, earth, turned))

@@ -73,7 +73,7 @@ class Shape:
         )
 
     def step(self, value: float) -> float:
-        """Returns the step of the shape for a numerical derivative at `value`."""
+        """Returns the step width for a numerical derivative with respect to the shape, at the shape `value`."""
         near = int(np.clip(np.searchsorted(self.values, value), 1, len(self.values) - 1))
         return _SLOPE * float(self.values[near] - self.values[near - 1])
 
@@ -325,9 +325,9 @@ class _Problem:
         return best, left
 
     def search(self, observed: Array, start: list[float] | None) -> list[float]:
-        """Searches for the shapes with the smallest χ², and returns their positions in the list of catalogue values. `observed`:
-        array of shape (N,), the samples. `start`: positions at which the search starts; if None, the catalogue values are tried
-        first."""
+        """Searches for the shapes with the smallest χ². Returns one position for each shape, as in `Shape.at`: a position between
+        two catalogue values is a fraction. `observed`: array of shape (N,), the samples. `start`: positions at which the search
+        starts; if None, the catalogue values are tried first."""
         from scipy.optimize import least_squares, minimize_scalar
 
         def chi_squared(places: Sequence[float]) -> float:

@@ -51,8 +51,8 @@ def residual_influences(
 
 def recovery(coefficients: Array, positions: int, rate: float) -> Array:
     """Returns the matrix (2·v, 2·v) that converts differences between measured and predicted outputs to differences of the rates,
-    in units of `rate` [rad/s]. `coefficients`: array of shape (2, p), from which the outputs are predicted. Rows are ordered by
-    rate, then by position; columns are ordered by output, then by position."""
+    in units of `rate` [rad/s]. `coefficients`: array of shape (2, p), from which the outputs are predicted. `positions`: the number
+    v of verification positions. Rows are ordered by rate, then by position; columns are ordered by output, then by position."""
     return np.asarray(np.kron(np.linalg.inv(coefficients[:, 1:3]), np.eye(positions)) / rate)
 
 

@@ -237,11 +237,11 @@ def _along(errors: Array, covariances: Array) -> Array:
 def influences(
     request: EstimateRequest[StrapdownNavigationParameters], equations: ErrorEquations, found: Navigated, points: Array
 ) -> tuple[Influence, ...]:
-    """Computes how the latitude and constant sensor errors influence the results. Constant sensor errors influence only the angles.
-    An error of the latitude makes the assumed Earth rate wrong, and so influences the navigation errors; its influence on the
-    alignment is neglected. Repeating a navigation under other conditions would take too long, so the sensitivities come from the
-    error equations. A test compares them with repeated navigations. `points`: array of shape (5, n), navigation errors as
-    `ErrorRecord.points` returns them."""
+    """Computes how the latitude and constant sensor errors influence the results. Constant sensor errors influence only the
+    alignment angles (heading, pitch, roll), as the module's docstring explains. An error of the latitude makes the assumed Earth
+    rate wrong, and so influences the navigation errors; its influence on the alignment is neglected. Repeating a navigation under
+    other conditions would take too long, so the sensitivities come from the error equations. A test compares them with repeated
+    navigations. `points`: array of shape (5, n), navigation errors as `ErrorRecord.points` returns them."""
     parameters = request.parameters
     rotation = found.aligned.alignment.rotation
     turned = np.zeros((INPUTS, INPUTS))

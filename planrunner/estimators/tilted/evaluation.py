@@ -224,9 +224,10 @@ def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Wor
 
 
 def answers_to_averages(answers: Array) -> Array:
-    """Returns the sensitivities of a group's quantities to the averages that `Group.averages` describes, shape (n + 1, m, 5). The
-    last row is for the output at rest, which is subtracted from the output at every rate. `answers`: array of shape (n, m, 5),
-    sensitivities to the outputs at the rates (`answers_of`)."""
+    """Returns the sensitivities of the five `QUANTITIES` of a group, shape (n + 1, m, 5). The first n rows are the sensitivities
+    to the mean outputs at the n rates. The last row is the sensitivity to the mean output at rest, which is subtracted from the
+    output at every rate. `Group.averages` gives these means. `answers`: array of shape (n, m, 5), sensitivities to the outputs at
+    the rates (`answers_of`)."""
     return np.concatenate([answers, -answers.sum(axis=0)[None]])
 
 

@@ -225,8 +225,8 @@ class Amplitudes:
     degrees: Array
 
     def drawn(self, count: int, draw: np.random.Generator) -> Array:
-        """Draws `count` random values of the amplitudes, shape (count, p). The errors that a noise group causes have Student's t
-        distribution."""
+        """Draws `count` random values of the amplitudes, shape (count, p). The errors that a noise group (see `MeasuredNoise`)
+        causes have Student's t distribution, because the noise level of the group is itself measured."""
         out = np.tile(self.mean, (count, 1))
         for root, degrees in zip(self.roots, self.degrees, strict=True):
             larger = np.sqrt(degrees / draw.chisquare(degrees, (count, 1))) if np.isfinite(degrees) else 1.0

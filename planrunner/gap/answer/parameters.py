@@ -108,8 +108,8 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
 
 
 def exact_shape(effect: Shaped, forms: Sequence[tuple[Weighed, float]]) -> list[ParameterEstimate]:
-    """Returns the shape of an effect that has no amplitude. The shape is computed from the effect's forms and their
-    probabilities."""
+    """Returns the shape of an effect that has no amplitude. The shape is the mean of the shapes of `forms`, weighted by their
+    probabilities. `forms`: the effect at several values of its shape, each with its probability."""
     values, share = np.array([form.variant.shape for form, _ in forms]), np.array([p for _, p in forms])
     mean = float(share @ values)
     spread = float(np.sqrt(share @ (values - mean) ** 2))

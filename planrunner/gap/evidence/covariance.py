@@ -229,7 +229,8 @@ class WalkAcross:
 
     @property
     def columns(self) -> Array:
-        """Returns `own` and `afterwards` as columns, shape (M, 2)."""
+        """Returns the covariances of each coefficient with the mean of its own segment (`own`) and with the mean of any later
+        segment (`afterwards`) as two columns, shape (M, 2)."""
         return np.column_stack([self.own, self.afterwards])
 
     def times(self, factor: float) -> WalkAcross:

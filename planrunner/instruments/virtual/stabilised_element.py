@@ -45,8 +45,8 @@ class Element:
 
     `caged`: rotation vector (3,) [rad] from the base to the element while caged, in axes of the base. `released`: time of release,
     s; None while caged. `axes`: array of shape (3, 3), axes of the element at its release, as rows in East-North-Up. `left`: array
-    of shape (3,) in rad, total rotation of the element while it leaves the dead region. `drifted`: array of shape (3,) in rad,
-    drift angle at the time `at` [s].
+    of shape (3,) in rad, rotation vector that the element approaches exponentially while it leaves the dead region (see
+    `DriftLaw.leaving`). `drifted`: array of shape (3,) in rad, drift angle at the time `at` [s].
     """
 
     caged: Array
