@@ -98,8 +98,8 @@ def _mark(key: bytes, first: str) -> str:
 
 
 def _key(make: bool) -> bytes:
-    """Reads the key. If there is no key, it is made if `make` is True; otherwise the result is empty. Raises `OriginUnknownError`
-    if the key cannot be read or made."""
+    """Reads the key. If there is no key, the function makes one (`make` True) or returns empty bytes (`make` False). Raises
+    `OriginUnknownError` if the key cannot be read or made."""
     path = state_folder()
     try:
         if make:

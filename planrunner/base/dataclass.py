@@ -87,8 +87,9 @@ def _made(
 
 @contextmanager
 def _thawed(bases: list[Any]) -> Iterator[None]:
-    """Permits a subclass to be frozen. The permission is needed because the standard library accepts subclasses of a frozen
-    dataclass only if it has frozen both itself."""
+    """Marks the base classes as not frozen while the context is open. This module always lets the standard library make a class
+    that is not frozen, and adds the methods of a frozen class afterwards. The standard library refuses such a class if a base class
+    is marked as frozen."""
     frozen = [base.__dataclass_params__ for base in bases if base.__dataclass_params__.frozen]
     try:
         for params in frozen:

@@ -117,7 +117,7 @@ class SiteSpec(Record):
 
 def astronomic_latitude(site: SiteSpec) -> Quantity:
     """Returns the latitude of the plumb line [rad], which determines the direction of the Earth's rotation relative to gravity. If
-    the geodetic latitude φ is stated, it is Φ = φ + ξ."""
+    the bench states the geodetic latitude φ and the northward deviation of the vertical ξ, then Φ = φ + ξ."""
     stated, deviation = site.latitude, site.deviation_of_vertical
     if deviation is None or site.latitude_kind == "astronomic":
         return stated

@@ -320,8 +320,8 @@ def analysis_of_variance(value: Array, group: NDArray[np.int64], expected: float
     """Computes a one-way analysis of variance of values in groups. For a single group, it gives only the mean and the scatter.
 
     The overall mean is the mean of the group means. The variance component between groups is (M_b − M_w)/n₀. M_b and M_w are the
-    mean squares between and within the k groups. For groups of n_i values, n₀ = (n − Σn_i²/n)/(k − 1). `expected`: a variance that
-    replaces the scatter of the values about their mean, for expected values.
+    mean squares between and within the k groups. For groups of n_i values, n₀ = (n − Σn_i²/n)/(k − 1). `expected`: for expected
+    values, the variance that noise alone would cause; it is used instead of the scatter of the values. NaN for measured values.
     """
     numbers = np.unique(group)
     n, k = len(value), len(numbers)

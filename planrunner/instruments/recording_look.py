@@ -352,8 +352,8 @@ class _Clock:
         return None if self._stamp is None or self.backwards else replace(self._stamp, wraps=self._wraps)
 
     def unwrapped(self, times: Array) -> Array:
-        """Corrects times [s] if the returns of the counter to zero were recognised only after the last row. Adds one period of the
-        counter for each return."""
+        """Corrects times [s] that come from a counter, if it became clear only after the last row that the counter returns to zero.
+        Adds one period of the counter for each time that it returned to zero."""
         if self._stamp is None or self._stamp.wraps is not None or self._wraps is None:
             return times
         return times + np.cumsum(np.diff(times, prepend=times[:1]) < 0) * (self._wraps * self._stamp.scale)
@@ -535,7 +535,8 @@ def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
 
 
 def _course(mean: Array) -> Array:
-    """Returns the absolute change (n,) of the mean per window, computed from the windows before and after each window."""
+    """Returns the absolute change of the mean from window to window, shape (n,). The change at a window is half of the difference
+    between the next and the previous window. `mean`: array of shape (n,), mean of each window."""
     if len(mean) < 3:
         return np.zeros(len(mean))
     change = np.abs(mean[2:] - mean[:-2]) / 2

@@ -4,7 +4,7 @@ oscillations.
 The state, in SI units, contains the position errors east and north, the velocity errors east and north, and the tilt (φ_E, φ_N,
 φ_U). The tilt is the rotation from the true to the computed attitude, C_computed = (1 − φ×)·C. The inputs, in navigation axes, are
 gyro errors ε and accelerometer errors ∇. The equations have the φ-angle form of Titterton and Weston, "Strapdown Inertial
-Navigation Technology", 2nd ed., section 12.3, with a vertical channel that keeps its values:
+Navigation Technology", 2nd ed., section 12.3. With the vertical channel held (constant height, no vertical velocity), they are:
 
     δv̇_E = −g·φ_N + 2Ω_U·δv_N + ∇_E          φ̇_E = −δv_N/R_N + Ω_U·φ_N − Ω_N·φ_U − ε_E
     δv̇_N =  g·φ_E − 2Ω_U·δv_E + ∇_N          φ̇_N =  δv_E/R_E − Ω_U·δL − Ω_U·φ_E − ε_N

@@ -38,7 +38,8 @@ def settled(levels: Array) -> bool:
 
 
 def holds(levels: Array) -> bool:
-    """Returns True if the levels are whole numbers of declared counts, so that the values are multiples of the declared count."""
+    """Returns True if the levels are whole numbers within a tolerance. The values of the channel are then multiples of the declared
+    count."""
     return float(np.abs(levels - np.round(levels)).max(initial=0.0)) <= 2 * OFF_LATTICE
 
 

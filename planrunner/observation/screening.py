@@ -599,10 +599,10 @@ class Screening:
     def _changes_around(self, x: Array, changes: Array, places: RowNumbers, noise: float) -> Array:
         """Returns a typical change from sample to sample around each of the samples x[places]: the mean of the changes. In a
         segment of turns and stops, the mean is taken over a short time, and a change to a single sample and back again is
-        subtracted, because it is not part of a turn. A turn on one side of a sample must not count: if the samples on the other
-        side, and the next two samples on this side, lie on one level, the largest change among these samples is used if it is
-        smaller than the mean. `x`: array of shape (n,). `changes`: array of shape (n - 1,), absolute differences of x. `noise`:
-        largest distance from a level that noise can cause."""
+        subtracted, because it is not part of a turn. A turn on one side of a sample must not increase the result. Therefore, the
+        samples on the other side and the next two samples on this side are compared. If they lie on one level, the result is at
+        most the largest change among them. `x`: array of shape (n,). `changes`: array of shape (n - 1,), absolute differences of x.
+        `noise`: largest distance from a level that noise can cause."""
         padded = np.append(changes, changes[-1])
         if not self.stopping:
             return np.asarray(_mean_around(padded, _FAR)[places])

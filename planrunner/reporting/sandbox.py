@@ -140,7 +140,8 @@ def _environment(roots: tuple[Path, ...], escaping: bool, language: str) -> Envi
             return super().is_safe_attribute(obj, attr, value)
 
         def wrap_str_format(self, value: Any) -> None:
-            """Refuses the string methods that format, because a large width would fill the memory."""
+            """Returns None, so that `is_safe_attribute` refuses `str.format` and `str.format_map`. A format with a large
+            width would fill the memory."""
 
         def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
             for operand in (left, right):

@@ -34,8 +34,8 @@ _UNCHANGED = 1e-6
 
 
 def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
-    """Returns the message and the hint of a finding about wrong axes. `axes`: the axes of the accelerometers about which the gyros
-    x, y, z actually turn."""
+    """Returns the message and the hint of a finding about wrong axes. `axes`: for each of the gyros x, y, z, the axis in the frame
+    of the accelerometers about which the gyro actually measures."""
     turns = ", ".join(f"gyro_{gyro} turns about {axis}" for gyro, axis in zip("xyz", axes, strict=True))
     return (
         f"Gyros and accelerometers have different axes. In the axes of the accelerometers: {turns}.",

@@ -93,7 +93,8 @@ class ModulationResidual:
         return Design((), notes=tuple(_left(segment, request) for segment in told))
 
     def foresee(self, request: DesignRequest[ModulationResidualParameters]) -> Foresight:
-        """Gives only the names of the coefficients, because the values depend on the errors of single navigations."""
+        """Gives the names of the coefficients, but no expected values. The values depend on the errors of the individual
+        navigations, which cannot be predicted."""
         designs = list(request.uses.items())
         if not all("turned" in design.extra for _, design in designs):
             return Foresight()

@@ -211,8 +211,8 @@ def _ringed(reduced: ReducedRun, axis: int, by: float) -> ReducedRun:
 
 
 def _noise(request: Request) -> float:
-    """Returns the standard deviation [m/s^2] of the difference between two windows after the filter, due to the white noise of the
-    noisiest accelerometer."""
+    """Returns the standard deviation [m/s^2] that white noise causes in the difference between the readings of an accelerometer in
+    two windows. The readings have passed the low-pass filter. The result is for the noisiest accelerometer."""
     parameters = request.parameters
     averaging = max(parameters.window.value, 0.5 / parameters.cutoff.value)
     declared = [request.sensor.output(name) for name in parameters.accelerometers]

@@ -139,8 +139,9 @@ def _deviation(values: Array) -> float:
 
 
 def pair(states: Sequence[StateDrifts], most: int, seed: int) -> list[Pairings]:
-    """Makes random pairs of runs within each state, with one result for each level axis. If a state has at most `most` pairs, all
-    of them are used."""
+    """Makes random pairs of a static and a dynamic run of the same state. Returns one `Pairings` for each axis that is level in a
+    state; it contains the pairs of all states in which this axis is level. If a state has at most `most` pairs, all of them are
+    used."""
     draw = np.random.default_rng(seed)
     found: dict[int, list[Array]] = {}
     for state in states:

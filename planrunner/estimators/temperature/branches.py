@@ -73,7 +73,8 @@ class Difference:
     high: float
 
     def width(self, temperature: Array) -> Array:
-        """Returns the columns that describe D at n temperatures [degC], shape (n, q)."""
+        """Returns the columns that describe the difference D between rising and falling temperature, shape (n, q). `temperature`:
+        array of shape (n,), degC."""
         return self.curve.columns(np.clip(temperature, self.low, self.high))
 
     def columns(self, temperature: Array, direction: Integers) -> Array:

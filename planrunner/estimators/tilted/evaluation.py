@@ -211,8 +211,9 @@ def _worst(residuals: Sequence[Array], temperature: NDArray[np.int64]) -> Worst:
 
 
 def slope_weights(kelvin: Array) -> Array:
-    """Returns the weights [1/K] that compute a slope from values at g temperatures `kelvin` (g,), shape (g,). The sum of the
-    weighted values is the slope of the straight line through the values."""
+    """Returns one weight [1/K] for each of g temperatures, shape (g,). If values at these temperatures are multiplied by the
+    weights and summed, the result is the slope of the straight line that fits the values. `kelvin`: array of shape (g,), the
+    temperatures."""
     off = kelvin - kelvin.mean()
     return np.asarray(off / np.sum(off * off))
 

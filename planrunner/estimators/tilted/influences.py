@@ -44,11 +44,11 @@ _BESIDE = 1e-6  # rad, of differences
 class Situation:
     """Contains the data from which the influences are computed.
 
-    `answers`: for each group, sensitivities (n, m, 5) of its quantities to its outputs. `gradient`: derivatives of
-    `TiltedResults.vector` with respect to the means of all groups. `segments`: the segments with their attitude at the start of the
-    recording. `seconds`: recorded durations of the segments, s. `home`: the home orientation in words. `units`: units of the
-    outputs. `fixture`: array of shape (m, r) in rad, influences on the angles of the axes, if these angles come from a calibration
-    instead of the plan.
+    `answers`: for each group (the rates at one temperature), the sensitivities of the group's quantities to the outputs at its
+    rates, shape (n, m, 5). `gradient`: derivatives of `TiltedResults.vector` with respect to the means of all groups. `segments`:
+    the segments with their attitude at the start of the recording. `seconds`: recorded durations of the segments, s. `home`: the
+    home orientation in words. `units`: units of the outputs. `fixture`: influences on the angles of the m axes [rad], if these
+    angles come from a calibration instead of the plan; otherwise empty.
     """
 
     groups: tuple[Group, ...]
@@ -109,9 +109,10 @@ def influences(
 def _conditions(
     situation: Situation, inputs: Inputs, common: InputQuantity
 ) -> Iterator[StatedCondition[TiltedConditions]]:
-    """Yields each input that is stated with an uncertainty, with a function that gives the conditions of the evaluation for a given
-    error of this input. The bench states the error of each rate, which is the same whenever this rate is repeated. The plan states
-    the error that all rates have in common."""
+    """Yields a `StatedCondition` for each input that is stated with an uncertainty. Each of them contains functions that return the
+    conditions of the evaluation for a given error of the input. Two inputs are errors of the rates. The bench states the
+    uncertainty of a separate error for each rate; this error is the same in all repeats of the rate. The plan states the
+    uncertainty of an error that all rates have in common (`common`)."""
     conditions, site = situation.conditions, situation.site
     axes, commanded = conditions.axes, conditions.commanded
     if not situation.fixture:

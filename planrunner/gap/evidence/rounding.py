@@ -62,10 +62,10 @@ def undithered(observed: Observed, white: Array, coarse: NDArray[np.bool_]) -> A
     """Returns the variance of the rounding error in the mean of many samples, SI², shape (K,). `white`: array of shape (K,) in SI
     units, standard deviation of a rounded sample. `coarse`: array of shape (K,), True if the noise of a channel is too small to
     dither the rounding. For coarse channels, the variance is averaged over all noise levels. A noise level has a large weight if it
-    agrees with the declared noise, and with the numbers of samples at each count in segments at rest. If these numbers show a
-    mixture of smaller and larger noise, the variance is that of the mixture: noise with many small values dithers less than
-    Gaussian noise of the same standard deviation. If samples were averaged over bins, these numbers are unknown and are not
-    used."""
+    agrees both with the declared noise and with the data. The data are the numbers of samples at each count in segments at rest. If
+    these numbers show a mixture of smaller and larger noise, the variance is that of the mixture: noise with many small values
+    dithers less than Gaussian noise of the same standard deviation. If samples were averaged over bins, these numbers are unknown
+    and are not used."""
     found = np.zeros(len(observed.channels))
     for index, channel in enumerate(observed.channels):
         count = channel.resolution

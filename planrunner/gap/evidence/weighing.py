@@ -468,7 +468,7 @@ _NOTHING = 1e-6  # norm up to which a nominal direction is only a rounding error
 
 
 class Left:
-    """Contains a channel at one setting of the noise, after some rows of coefficients may have been removed.
+    """Contains the coefficients of a channel, weighted at one setting of the noise. Some of their rows may have been removed.
 
     `rows`: array of shape (M,), True for the remaining rows. `basis`: array of shape (M, q), orthonormal basis of the whitened
     nominal columns on these rows. `residual`: array of shape (M,), whitened residual. `basis` and `residual` are zero in the

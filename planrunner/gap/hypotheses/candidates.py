@@ -394,7 +394,7 @@ class Weighing:
 
     def with_known(self, columns: Sequence[Column], amplitudes: Array) -> Weighing:
         """Returns a copy in which the nominal output contains effects with known amplitudes. `columns`: P columns with samples.
-        `amplitudes`: array of shape (P,) in magnitudes."""
+        `amplitudes`: array of shape (P,), in units of `Column.magnitude`."""
         caused = [raw @ amplitudes for raw in coefficients_of(self.observed, self.spectrum, columns)]
         reference = self._reference.copy()
         for column, amplitude in zip(columns, amplitudes, strict=True):

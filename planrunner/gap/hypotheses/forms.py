@@ -378,11 +378,11 @@ class OnOthers:
 def on_others(
     weighing: Weighing, effect: Shaped, form: Weighed, columns: Sequence[Column], amplitudes: Array
 ) -> OnOthers | None:
-    """Finds the shape of an effect on the output, which acts on the nominal output and on other effects. Returns None if no shape
-    explains the data.
+    """Finds the shape of an effect that acts on the whole output: on the nominal output and on the changes by other effects.
+    Returns None if no shape explains the data.
 
     `form`: a form of the effect from which the search starts. `columns`: P columns of the other effects, with samples.
-    `amplitudes`: array of shape (P,), their amplitudes in magnitudes."""
+    `amplitudes`: array of shape (P,), amplitudes of these columns, in units of `Column.magnitude`."""
     beneath = weighing.with_known(columns, amplitudes)
     forms = whole_forms(beneath, effect, form, columns)
     if not forms:

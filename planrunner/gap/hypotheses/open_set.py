@@ -89,11 +89,12 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
 
 
 def something_else(weighing: Weighing, signatures: Sequence[Array] = (), explained: float = np.inf) -> float:
-    """Returns the log Bayes factor of the patterns that lie in the coefficients, single and in combination, against no pattern. The
-    factor is computed at the most probable setting of the noise. If the weighing includes effects (`Weighing.beside`), this is the
-    evidence for something else in addition to these effects. `signatures`: for each channel, the coefficients (M,) that these
-    effects cause. `explained`: log evidence of these effects. The effects may seem to have different sizes in different motions. If
-    such differences explain more than the effects themselves, they are not a property of the effects and are left out."""
+    """Returns the log Bayes factor of the patterns of the coefficients, relative to no pattern. The factor is the mean over single
+    patterns and over combinations of patterns, at the most probable setting of the noise. If the weighing includes effects
+    (`Weighing.beside`), this is the evidence for something else in addition to these effects. `signatures`: for each channel, the
+    coefficients (M,) that these effects cause. `explained`: log evidence of these effects. One further pattern is a separate size
+    of the effects in each motion. If this pattern explains more than the effects themselves, it is not a property of the effects,
+    and the pattern is left out."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
@@ -115,7 +116,8 @@ def _in_coefficients(patterns: _Patterns, channels: list[Left], each: dict[Patte
 
 def unknown(kinds: Kinds) -> Array:
     """Returns the log Bayes factor of "something else", shape (G,): the mean over single patterns and over combinations of
-    patterns. A periodic bias and short offsets are also evaluated in combination with the patterns outside the coefficients."""
+    patterns. A periodic bias and short offsets are also evaluated in combination with bursts and tones, which the coefficients do
+    not represent."""
     return log_mean_exp(np.array(_forms(kinds)), 0)
 
 
@@ -190,8 +192,8 @@ def _maybe(log_bayes: float) -> float:
 
 
 class _Patterns:
-    """Evaluates all patterns of the coefficients. Caches the results, because several settings of the noise use the same weights
-    for a triad."""
+    """Evaluates all patterns of the coefficients. Caches the results, because settings of the noise that differ only in one triad
+    use the same weights for the other triad."""
 
     def __init__(self, weighing: Weighing):
         self.designs, self.repeating, self.sorts = list(designs(weighing)), Repeating(weighing), sorts(weighing)

@@ -122,8 +122,8 @@ class _Scan:
     coloured: bool
 
     def energy(self, samples: Array) -> float:
-        """Returns the energy of samples (n,), summed over the raw samples, SI². `samples`: samples divided by the level of the
-        noise, as in the attribute `samples`."""
+        """Returns the energy of samples (n,), SI². This is the sum of their squares, each multiplied by the number of raw samples
+        that the sample combines. `samples`: samples divided by the level of the noise, as in the attribute `samples`."""
         return float(self.weight @ samples**2)
 
 
@@ -143,7 +143,8 @@ class _Periodogram:
 
     @classmethod
     def of(cls, scan: _Scan, samples: Array) -> _Periodogram:
-        """Computes the periodogram of samples (n,) that have the positions of the samples of a scan."""
+        """Computes the periodogram of samples. `samples`: array of shape (n,), values at the same times as the samples of
+        `scan`."""
         from scipy.fft import next_fast_len, rfft
 
         if not len(samples):
@@ -348,9 +349,10 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 def _evidence(
     both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
 ) -> Array:
-    """Returns the log Bayes factors of bursts and of bursts in a single segment, from windows of one size, shape (scopes, 2).
-    `both`: cumulative sums of the samples in units of the noise, and cumulative sums of the squares of these samples.
-    `inefficiency`: array of shape (K,), factor by which coloured noise reduces the degrees of freedom of a sum of squares."""
+    """Returns two log Bayes factors for each scope, shape (scopes, 2): of bursts in any segment, and of bursts in a single segment.
+    All windows have the same size. `both`: cumulative sums of the samples in units of the noise, and cumulative sums of the squares
+    of these samples. `inefficiency`: array of shape (K,), factor by which coloured noise reduces the degrees of freedom of a sum of
+    squares."""
     mean, rest = _normalised(both, windows, size)
     offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
     offset[~windows.clear] = 0.0

@@ -50,8 +50,8 @@ class _Windows:
 
 
 class ShortOffsets:
-    """Evaluates offsets of a few seconds. Caches the results, because several settings of the noise use the same weights for a
-    triad."""
+    """Evaluates offsets of a few seconds. Caches the results, because settings of the noise that differ only in one triad use the
+    same weights for the other triad."""
 
     def __init__(self, weighing: Weighing):
         made = (_windows(weighing, length) for length in LENGTHS)

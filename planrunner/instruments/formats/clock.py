@@ -145,8 +145,8 @@ def _quoted(texts: pa.Array, index: int) -> str:
 
 
 def text_of(seconds: float) -> str:
-    """Returns a time in the form in which a message shows it: a date with a time or, for a time of day in the first two days, hours,
-    minutes and seconds."""
+    """Returns a time as text for a message: a date with hours, minutes and seconds. If the time is from 0 to less than two days, it
+    counts as a time of day, and the text contains no date."""
     whole = round(seconds * 1e6)
     moment = datetime.datetime(1970, 1, 1) + datetime.timedelta(microseconds=whole)
     shown = f"{moment:%H:%M:%S.%f}".rstrip("0").rstrip(".")

@@ -89,7 +89,8 @@ class ParquetFile(FormatFile[NoKeys]):
 
     @contextlib.contextmanager
     def _opened(self) -> Iterator[pq.ParquetFile]:
-        """Opens the file after its directory and its columns have been checked; columns are read in small pieces."""
+        """Checks the directory at the end of the file and the columns, and yields the open file. Columns are read in small
+        pieces."""
         import pyarrow.parquet as pq
 
         with open_samples(self.path, self.name) as opened:

@@ -150,7 +150,7 @@ class SerialSensor(Generic[P]):
 
     @classmethod
     def lasting_doubts(cls, identity: Mapping[str, str]) -> tuple[str, ...]:
-        """Returns doubts about all samples that follow from the result of `configure`, such as a failed self-test."""
+        """Returns doubts that concern all samples, such as a failed self-test. `identity`: the result of `configure`."""
         return ()
 
     @classmethod

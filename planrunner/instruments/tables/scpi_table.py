@@ -136,7 +136,7 @@ class ScpiTable(TableDriver[ScpiTableParameters]):
 
 
 class ScpiTableCommands(LinkedCommands):
-    """Sends the commands that the bench file declares for a table, as operations of `AxisCommands`."""
+    """Implements the operations of `AxisCommands` by sending the commands that the bench file declares."""
 
     def __init__(self, parameters: ScpiTableParameters):
         end = ENDS[parameters.ends]

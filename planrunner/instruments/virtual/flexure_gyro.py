@@ -1,10 +1,11 @@
 """The virtual flexure gyro (dynamically tuned, two input axes X and Y, spin axis Z) with torque-rebalance loops.
 
 The loops drive currents through the torquers. The currents turn (precess) the rotor at the input rate. The currents, counted in
-pulses, therefore measure the input. Torquer Y turns the rotor at the rate SF_Y·i_x along (cos ε, sin ε), and torquer X at the rate
-SF_X·i_y along (−sin(ε+ξ), cos(ε+ξ)), both in the plane of (ω_Y, ω_X). The sum of these two rates must balance (ω_Y + D(X), ω_X +
-D(Y)). The drifts D(X) and D(Y) each have a constant part and parts proportional to the specific force along X, Y and Z (patent
-CN100554884C). The simulation solves this balance. The simulation has no formula in common with the estimators.
+pulses, therefore measure the input. The outputs are the currents i_x and i_y. Torquer Y turns the rotor at the rate SF_Y·i_x in the
+direction (cos ε, sin ε). Torquer X turns the rotor at the rate SF_X·i_y in the direction (−sin(ε+ξ), cos(ε+ξ)). The first component
+of a direction is along ω_Y, the second along ω_X. The sum of these two rates must balance (ω_Y + D(X), ω_X + D(Y)). The drifts D(X)
+and D(Y) each have a constant part and parts proportional to the specific force along X, Y and Z (patent CN100554884C). The
+simulation solves this balance. The simulation has no formula in common with the estimators.
 """
 
 from __future__ import annotations

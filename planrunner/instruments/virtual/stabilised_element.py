@@ -85,7 +85,7 @@ class Element:
         self, world: World, times: Array, step: float, base: Array, law: DriftLaw, draw: np.random.Generator
     ) -> tuple[Array, Element]:
         """Returns the axes of the element at `times` as rows in East-North-Up, shape (n, 3, 3), and the state of the element after
-        these times. `times` start at `at` and are `step` s apart.
+        these times. The first of `times` must be the time of this state (the attribute `at`); the times are `step` s apart.
 
         `base`: array of shape (n, 3, 3), axes of the base at the same times.
         """
