@@ -312,7 +312,8 @@ def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str
             values = np.asarray(block.channels[name][:shown], dtype=float)
             place = one.statistics.of(name)
             kept = (values >= one.statistics.minimum[place]) & (values <= one.statistics.maximum[place])
-            taken.setdefault(name, []).append(values[kept])
+            if kept.any():  # all of these samples may be missing or excluded
+                taken.setdefault(name, []).append(values[kept])
     return {name: undeclared_step(np.concatenate(parts), _FEWEST) for name, parts in taken.items()}
 
 

@@ -107,3 +107,14 @@ def test_counts_whose_rounding_errors_are_carried_over_give_no_warning(noise: fl
         found = scale_factor(recording)
         assert not coarse(found)
         assert abs(found["K_gyro_z"].value - 200) < 5 * found["K_gyro_z"].standard_uncertainty
+
+
+def test_missing_samples_at_the_beginning_show_no_count_and_end_no_analysis() -> None:
+    recording = []
+    for one in on_a_table(14, 0.0):
+        blocks = list(one.blocks(("gyro_z",)))
+        values = np.concatenate([block.channels["gyro_z"] for block in blocks])
+        values = np.where(np.arange(len(values)) < 600, np.nan, values)
+        time = np.concatenate([block.time for block in blocks])
+        recording.append(from_samples(one.segment, time, {"gyro_z": values}, {"gyro_z": "pulse/s"}))
+    assert not coarse(scale_factor(recording))

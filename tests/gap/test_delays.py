@@ -64,6 +64,31 @@ def test_lost_samples_are_named_with_the_segment_after_which_they_were_lost(lost
     assert np.allclose(seen.values, sound.values)
 
 
+@pytest.mark.parametrize("late", [[40], [0, 30], [0, 30, 30], [0, 6, 12, 18, 24, 30, 36, 42]])
+def test_each_segment_of_a_few_or_with_a_slow_clock_gets_its_own_delay(late: list[int]) -> None:
+    """One segment, lost samples in one of a few, and clocks at different rates."""
+    sound = to_and_fro(segments=len(late), sampling=RATE)
+    seen, found = _in_step(_rolled(sound, np.array(late)))
+    assert len(found) == 1
+    assert np.allclose(seen.values, sound.values)
+
+
+def test_what_whole_samples_leave_of_a_delay_counts_once() -> None:
+    sound = to_and_fro(sampling=RATE)
+    draw = np.random.default_rng(3)
+
+    def read(late: Mapping[str, float]) -> Observed:
+        values = np.radians(0.1) * draw.normal(size=sound.values.shape)
+        for part, label in zip(sound.segments(), sound.labels, strict=True):
+            left = 0.1049 - round(late.get(label, 0.0) * RATE) / RATE
+            since = sound.time[part] - sound.time[part][0]
+            values[part, 2] += np.radians(40) * np.cos(2 * np.pi * 0.4 * (since - left))
+        return replace(sound, values=values)
+
+    _, (found,) = in_step(read({}), read, 1 / RATE)
+    assert found.parameters["delay"] == pytest.approx(0.1049, abs=5e-4)
+
+
 def test_noise_without_motion_has_no_delay() -> None:
     sound = to_and_fro(sampling=RATE)
     noise = replace(sound, values=np.random.default_rng(1).normal(size=sound.values.shape))

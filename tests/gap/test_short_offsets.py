@@ -58,10 +58,20 @@ def test_a_single_small_event_is_noise(segments: dict[int, float], size: float, 
     assert diagnose(record(seed=62, fault=offsets(segments, size))).verdict.kind == kind
 
 
-def test_an_event_is_counted_in_its_segment() -> None:
-    gains = np.array([[3.0], [1.0], [0.5], [2.0]])
-    whole, largest = whole_and_largest(gains, np.array([0, 0, 4, 7]))
-    assert (whole[0], largest[0]) == (6.5, 4.0)
+@pytest.mark.parametrize(("begin", "end", "size"), [(8, 20, 0.5), (0, 10, 0.7)])
+def test_an_offset_of_most_of_a_segment_is_no_event_of_a_few_seconds(begin: float, end: float, size: float) -> None:
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        since = observed.time - observed.time[observed.bounds[9]]
+        on = (observed.owner == 9) & (since >= begin) & (since < end)
+        return size * SIGMA * np.outer(on, [1.0, -0.7, 0.3]), 0.0
+
+    assert diagnose(record(seed=62, fault=fault)).verdict.kind == "unknown"
+
+
+def test_a_single_event_is_that_of_one_window() -> None:
+    whole, largest = whole_and_largest(np.array([[3.0], [1.0], [0.5], [2.0]]))
+    assert (whole[0], largest[0]) == (6.5, 3.0)
+    assert not whole_and_largest(np.empty((0, 2))).any()
 
 
 def test_bursts_are_found_while_the_table_turns_fast() -> None:
@@ -88,6 +98,19 @@ def test_an_effect_whose_size_is_another_in_each_motion_is_imitated(sizes: tuple
 
     found = diagnose(record(seed=64, fault=fault))
     assert found.verdict.kind == kind
+
+
+@pytest.mark.parametrize("size", [1.8, 2.5])
+def test_an_effect_is_named_beside_an_offset_that_also_shows_outside_the_coefficients(size: float) -> None:
+    """The offset explains 2 % of the gap. Its part outside the coefficients speaks for all hypotheses equally."""
+    offset = offsets({9: 11.0}, size)
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return 1.5e-4 * np.abs(omega) + offset(observed, omega, force, draw)[0], 0.0
+
+    said = diagnose(record(seed=62, fault=fault)).verdict
+    assert said.effects == ("gyro_scale_asymmetry",)
+    assert said.something_else
 
 
 def test_a_ripple_of_the_table_is_the_same_in_every_motion() -> None:

@@ -182,7 +182,10 @@ def posterior(
                 )
             singles = [(name, by_id[name].best) for name in chain[-1][0].split("+")]
             imitated, more = _with_something_else(weighing, [*singles[::-1], *chain], found, count)
-            more = {key: value + _whatever_noise(noise, len(key.split("+")), count) for key, value in more.items()}
+            more = {
+                key: value + _whatever_noise(noise, len(key.split("+")), count) + _beside(kinds)
+                for key, value in more.items()
+            }
             logs = _as_named(logs, named, more, walk)
             one_of = float(np.log(forms_of_unknown(kinds) * count))
             found[UNKNOWN] = float(np.logaddexp(found[UNKNOWN], imitated - one_of))

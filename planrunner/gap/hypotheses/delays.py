@@ -66,14 +66,20 @@ def in_step(
     if not any(abs(one.seconds) >= max(least, SURE * one.uncertainty) for one in found.values()):
         return observed, []
     total = dict.fromkeys(found, 0.0)
+    steps = {label: period * float(size) for label, size in zip(observed.labels, observed.bin_size, strict=True)}
     for _ in range(_ROUNDS):
-        total = {label: late + found[label].seconds for label, late in total.items() if label in found}
+        # Only whole samples are shifted: what is left of a delay is measured again, and must not count twice.
+        total = {
+            label: steps[label] * round((late + found[label].seconds) / steps[label])
+            for label, late in total.items()
+            if label in found
+        }
         known = _carried(observed, total)
         seen = read(known)
         found = delays(corrected(seen)[0], least)
         if not found:  # the shifted outputs do not follow the motion
             return observed, []
-        if set(found) < set(total) or max(abs(one.seconds) for one in found.values()) < period:
+        if set(found) < set(total) or all(abs(one.seconds) < steps[label] for label, one in found.items()):
             break
     u = max(one.uncertainty for one in found.values())
     whole = {label: Delay(late + (found[label].seconds if label in found else 0.0), u) for label, late in total.items()}
@@ -128,18 +134,25 @@ def delays(observed: Observed, least: float) -> dict[str, Delay]:
         own = _of_segment(observed, rows) if moved else None
         if own is not None:
             each[label] = own
-    return _in_groups(each, least) if len(each) > 1 else {}
+    return _in_groups(each, least) if each else {}
 
 
 def _in_groups(each: Mapping[str, Delay], least: float) -> dict[str, Delay]:
     """Divides successive segments into groups between which the delay changes clearly, by more than `least` [s]. Returns, for each
-    segment, the median of the delays in its group."""
+    segment, the median of the delays in its group. If the delays of a group differ by more than `least` and more than their
+    uncertainties explain, as in few segments or with clocks that run at different rates, each segment keeps its own delay."""
     labels, values = list(each), np.array([one.seconds for one in each.values()])
     steps = np.abs(np.diff(values))
-    scatter = max(1.4826 * float(np.median(steps)) / np.sqrt(2), min(one.uncertainty for one in each.values()))
+    typical = 1.4826 * float(np.median(steps)) / np.sqrt(2) if len(steps) else 0.0
+    scatter = max(typical, min(one.uncertainty for one in each.values()))
     edges = [0, *(np.flatnonzero(steps > max(least, SURE * np.sqrt(2) * scatter)) + 1).tolist(), len(values)]
     found: dict[str, Delay] = {}
     for begin, end in pairwise(edges):
+        own = {label: each[label] for label in labels[begin:end]}
+        worst = max(one.uncertainty for one in own.values())
+        if np.ptp(values[begin:end]) > max(least, SURE * np.sqrt(2) * worst):
+            found |= own
+            continue
         one = Delay(float(np.median(values[begin:end])), scatter * float(np.sqrt(np.pi / 2 / (end - begin))))
         found |= dict.fromkeys(labels[begin:end], one)
     return found

@@ -73,7 +73,8 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
         each[g] = patterns.weighed(channels) | beyond.log_bayes
         several[g] = _several(patterns, channels, each[g])
         single = patterns.short_offsets.weighed(patterns.scopes, channels)[1]
-        event[g] = float(log_mean_exp(single, 0)) + max(beyond.burst, 0.0)
+        # In a run without windows, `single` is −∞; a burst can still be an event.
+        event[g] = max(float(log_mean_exp(single, 0)), 0.0) + max(beyond.burst, 0.0)
     found = {pattern: np.full(len(weighing.base), -np.inf) for pattern in each[settings[0]]}
     for g, values in each.items():
         for pattern, value in values.items():

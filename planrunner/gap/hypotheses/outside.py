@@ -6,7 +6,7 @@ A tone keeps its frequency and its phase over the whole run. It is searched in t
 A burst is a window of a few seconds with a shifted bias or with larger noise, at a random time in a run. Every window contains a
 burst with the same small probability. The windows are parts of the remainder, so the part of a burst that the coefficients absorb
 is missing. A deviation that appears in most windows of segments of equal length is slow noise, not a burst. The noise of real
-sensors contains rare single events. The evidence of the segment with the clearest bursts is therefore also stated alone: it is the
+sensors contains rare single events. The evidence of the window with the clearest burst is therefore also stated alone: it is the
 evidence of an event that does not recur.
 
 In array shapes, N is the number of all samples, K of channels, F of frequencies, W of windows, and E of energies of a burst.
@@ -59,7 +59,7 @@ class Outside:
     """Contains the evidence for the patterns outside the basis of the coefficients.
 
     `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
-    `causes`: those of these tones that count as separate causes. `burst`: log Bayes factor of bursts in a single segment.
+    `causes`: those of these tones that count as separate causes. `burst`: log Bayes factor of a burst in a single window.
     """
 
     log_bayes: dict[Pattern, Array]
@@ -266,13 +266,12 @@ _DEVIATION = 0.6745  # median absolute deviation of a normal variable
 class _Windows:
     """A set of windows with the same number of samples.
 
-    `starts`: array of shape (W,), first sample of each window. `segment`: array of shape (W,), index of the segment to which each
-    window belongs. `lasting`: array of shape (W,), number of samples of this segment. `kept`: array of shape (W,), fraction of the
+    `starts`: array of shape (W,), first sample of each window. `lasting`: array of shape (W,), number of samples of the
+    segment to which each window belongs. `kept`: array of shape (W,), fraction of the
     energy of a constant bias in the window that the coefficients do not absorb.
     """
 
     starts: NDArray[np.int64]
-    segment: NDArray[np.int64]
     lasting: NDArray[np.int64]
     kept: Array
 
@@ -284,8 +283,8 @@ class _Windows:
 
 
 def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, Array]:
-    """Computes two log Bayes factors in the channels of each scope, each of shape (scopes,): of bursts, and of bursts in a single
-    segment. Both are −∞ if the recording is too short for windows."""
+    """Computes two log Bayes factors in the channels of each scope, each of shape (scopes,): of bursts, and of a burst in a single
+    window. Both are −∞ if the recording is too short for windows."""
     observed, found = weighing.observed, []
     remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder)
     remainder /= (weighing.white * np.sqrt(weighing.noise.level))[observed.owner]
@@ -324,10 +323,10 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
     of the segment. Returns None if there are too few usable windows. `within`: for each basis, the cumulative sums of its
     vectors."""
     observed, spectrum = weighing.observed, weighing.spectrum
-    starts, segment, lasting, kept = [], [], [], []
+    starts, lasting, kept = [], [], []
     known: dict[int, Array] = {}
     parts = zip(observed.motions, spectrum.bases, observed.segments(), strict=True)
-    for index, (motion, basis, part) in enumerate(parts):
+    for motion, basis, part in parts:
         own = np.arange(begin, part.stop - part.start - size + 1, size)
         if not isinstance(motion, Rest | Spin) or not len(own):
             continue
@@ -335,13 +334,12 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
             sums = within[id(basis)]
             known[id(basis)] = 1 - ((sums[own + size] - sums[own]) ** 2).sum(1) / size
         starts.append(part.start + own)
-        segment.append(np.full(len(own), index))
         lasting.append(np.full(len(own), part.stop - part.start))
         kept.append(known[id(basis)])
     if not starts:
         return None
-    every = [np.concatenate(each) for each in (starts, segment, lasting, kept)]
-    _, which, counts = np.unique(every[2], return_inverse=True, return_counts=True)
+    every = [np.concatenate(each) for each in (starts, lasting, kept)]
+    _, which, counts = np.unique(every[1], return_inverse=True, return_counts=True)
     many = counts[which] >= FEWEST
     return _Windows(*(each[many] for each in every)) if many.any() else None
 
@@ -349,7 +347,7 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 def _evidence(
     both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
 ) -> Array:
-    """Returns two log Bayes factors for each scope, shape (scopes, 2): of bursts in any segment, and of bursts in a single segment.
+    """Returns two log Bayes factors for each scope, shape (scopes, 2): of bursts, and of a burst in a single window.
     All windows have the same size. `both`: cumulative sums of the samples in units of the noise, and cumulative sums of the squares
     of these samples. `inefficiency`: array of shape (K,), factor by which coloured noise reduces the degrees of freedom of a sum of
     squares."""
@@ -361,7 +359,7 @@ def _evidence(
     found = np.empty((len(scopes), 3, 2))
     for row, scope in enumerate(scopes):
         forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
-        found[row] = [_here_and_there(form, windows.segment) for form in forms]
+        found[row] = [_here_and_there(form) for form in forms]
     return log_mean_exp(found, 1)
 
 
@@ -398,21 +396,17 @@ def _larger(energy: Array, degrees: float, added: Array) -> Array:
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
-def _here_and_there(windows: Array, segment: NDArray[np.int64]) -> Array:
-    """Returns two log Bayes factors relative to no bursts, shape (2,): of bursts, and of bursts in a single segment. With bursts,
+def _here_and_there(windows: Array) -> Array:
+    """Returns two log Bayes factors relative to no bursts, shape (2,): of bursts, and of a burst in a single window. With bursts,
     every window has the same small probability of containing one. `windows`: array of shape (W, E), log Bayes factor of a burst in
-    each window at each energy. `segment`: array of shape (W,), index of the segment of each window."""
+    each window at each energy."""
     each = []
     for chance in CHANCES:
         gains = np.logaddexp(0.0, np.log(chance / (1 - chance)) + windows)
-        each.append(len(windows) * np.log1p(-chance) + whole_and_largest(gains, segment))
+        each.append(len(windows) * np.log1p(-chance) + whole_and_largest(gains))
     return np.asarray(log_mean_exp(np.concatenate(each, axis=1), 1))
 
 
-def whole_and_largest(gains: Array, segment: NDArray[np.int64]) -> Array:
-    """Sums the gains (W, …) of events over all segments and, for comparison, over the segment with the largest sum, shape (2, …).
-    `segment`: array of shape (W,), index of the segment of each event."""
-    names, which = np.unique(segment, return_inverse=True)
-    by_segment = np.zeros((max(len(names), 1), *gains.shape[1:]))
-    np.add.at(by_segment, which, gains)
-    return np.array([by_segment.sum(0), by_segment.max(0)])
+def whole_and_largest(gains: Array) -> Array:
+    """Returns the sum of the gains (W, …) of events and the largest of them, shape (2, …). The gains are not negative."""
+    return np.array([gains.sum(0), gains.max(0, initial=0.0)])

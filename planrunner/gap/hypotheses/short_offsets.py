@@ -7,7 +7,7 @@ speak more clearly for them. The part of such an offset that lies outside the co
 
 Every window of the run contains an offset with the same small probability. The windows are found one at a time: the best window is
 chosen, its offset is fitted, and the next window is evaluated on what remains. The evidence is that of the chosen windows alone, so
-it is a lower limit of the evidence of all possible choices. As for bursts, the evidence of a single segment is also stated alone.
+it is a lower limit of the evidence of all possible choices. As for bursts, the evidence of a single window is also stated alone.
 In array shapes, M is the number of coefficients of a channel, W of windows, and q of basis vectors.
 """
 
@@ -37,16 +37,14 @@ _NOTHING = 1e-9  # of the largest energy of a window: smaller energies are round
 
 @dataclass(frozen=True)
 class _Windows:
-    """Contains windows of one length. `columns`: array of shape (M, W), the coefficients of an offset of 1 in each window. `segment`:
-    array of shape (W,), segment of each window."""
+    """Contains windows of one length. `columns`: array of shape (M, W), the coefficients of an offset of 1 in each window."""
 
     columns: Array
-    segment: NDArray[np.int64]
 
     @property
     def count(self) -> float:
         """Returns the number of windows that do not overlap."""
-        return len(self.segment) / STEPS
+        return float(self.columns.shape[1] / STEPS)
 
 
 class ShortOffsets:
@@ -59,8 +57,8 @@ class ShortOffsets:
         self._known: dict[tuple[Left, ...], Array] = {}
 
     def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> tuple[Array, Array]:
-        """Returns two log Bayes factors in the channels of each scope, each of shape (scopes,): of short offsets, and of short offsets
-        in a single segment. Both are −∞ if the run has no windows."""
+        """Returns two log Bayes factors in the channels of each scope, each of shape (scopes,): of short offsets, and of one short
+        offset. Both are −∞ if the run has no windows."""
         found = []
         for scope in scopes:
             key = tuple(channels[index] for index in scope)
@@ -95,17 +93,16 @@ def _windows(weighing: Weighing, length: float) -> _Windows | None:
     owner = np.repeat([index for index, _ in placed], [own.shape[1] for _, own in placed])
     for index, own in placed:
         columns[np.ix_(spectrum.segment == index, owner == index)] = own
-    return _Windows(columns, owner)
+    return _Windows(columns)
 
 
 def _evidence(windows: _Windows, channels: Sequence[Left]) -> Array:
-    """Returns two log Bayes factors of offsets in the same windows of all `channels`, shape (2,): in all segments, and in a single
-    segment."""
+    """Returns two log Bayes factors of offsets in the same windows of all `channels`, shape (2,): in all windows, and in a single
+    window. Several windows of one segment are no single event: together, they may be an offset of the whole segment."""
     rows = np.arange(len(windows.columns))
     parts = [_Channel.of(left, *left.whitened(windows.columns, rows)) for left in channels]
     whole = np.sum([part.size for part in parts], axis=0)
     gains: list[float] = []
-    chosen: list[int] = []
     while len(gains) < MOST:
         size, score = (np.column_stack([getattr(part, name) for part in parts]) for name in ("size", "score"))
         unit = size.sum(1)
@@ -120,12 +117,11 @@ def _evidence(windows: _Windows, channels: Sequence[Left]) -> Array:
         if each.max() + _odds(max(CHANCES)) <= 0:
             break
         gains.append(float(each.max()))
-        chosen.append(best)
         parts = [part.without(best) for part in parts]
     total = []
     for chance in CHANCES:
         more = np.maximum(np.array(gains) + _odds(chance), 0.0)
-        total.append(windows.count * np.log1p(-chance) + whole_and_largest(more, windows.segment[chosen]))
+        total.append(windows.count * np.log1p(-chance) + whole_and_largest(more))
     return np.asarray(log_mean_exp(np.array(total), 0))
 
 
