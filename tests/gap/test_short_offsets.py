@@ -58,6 +58,18 @@ def test_a_single_small_event_is_noise(segments: dict[int, float], size: float, 
     assert diagnose(record(seed=62, fault=offsets(segments, size))).verdict.kind == kind
 
 
+@pytest.mark.parametrize("size", [3.5, 5.0])
+def test_a_single_small_event_in_louder_noise_is_noise(size: float) -> None:
+    """The level of the noise is a cause of its own, but it does not change what a small event is."""
+    offset = offsets({9: 11.0}, size)
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        louder = 3.0 * SIGMA * draw.standard_normal((len(observed.time), 3))
+        return louder + offset(observed, omega, force, draw)[0], 0.0
+
+    assert diagnose(record(seed=62, fault=fault)).verdict.effects == ("gyro_noise_excess",)
+
+
 @pytest.mark.parametrize(("begin", "end", "size"), [(8, 20, 0.5), (0, 10, 0.7)])
 def test_an_offset_of_most_of_a_segment_is_no_event_of_a_few_seconds(begin: float, end: float, size: float) -> None:
     def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:

@@ -162,7 +162,11 @@ def posterior(
     }
     eventful = np.log(EVENT) + np.minimum(kinds.event, LARGEST_EVENT)
     eventful = np.maximum(eventful, 0.0)  # an event counts only if it is more probable than no event
-    logs["none"] += weighing.evidence(eventful) - weighing.evidence(nothing)
+    event = weighing.evidence(eventful) - weighing.evidence(nothing)
+    levels = frozenset(acting.values())
+    for name in logs:
+        if name == "none" or levels.issuperset(name.split("+")):
+            logs[name] += event
     by_id = {c.id: c for c in candidates}
     for name in logs:
         if UNKNOWN in name.split("+"):
@@ -192,7 +196,7 @@ def posterior(
             imitated += log_prior(UNKNOWN, count) + _whatever_noise(noise, 1, count) + _beside(kinds) - one_of
             logs[UNKNOWN] = float(np.logaddexp(logs[UNKNOWN], imitated))
     beside = float(np.exp(np.log(BESIDE) + kinds.outside - _beside(kinds)))
-    shares, levels = _shares(logs), frozenset(acting.values())
+    shares = _shares(logs)
     return Posterior(
         dict(sorted(_of_causes(shares, levels).items(), key=lambda item: -item[1])),
         found,
