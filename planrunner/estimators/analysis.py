@@ -266,6 +266,8 @@ def _carried(segments: Sequence[RecordedSegment], channel: str) -> bool:
         if channel not in one.units or not one.statistics.batches > 1 or not _changes(one, channel):
             continue
         known, place = one.statistics, one.statistics.of(channel)
+        if not known.covariance[place, place] > 0:  # a motion that is followed exactly
+            continue
         ratios.append(float(known.standard_error[place] ** 2 * known.count / known.covariance[place, place]))
         freedoms.append(known.freedom)
     return bool(ratios) and sum(freedoms) >= _MANY and float(np.average(ratios, weights=freedoms)) < _CARRIED
