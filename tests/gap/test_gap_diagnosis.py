@@ -110,7 +110,7 @@ def test_a_named_pair_of_which_only_the_quick_evaluation_is_known_is_fitted_as_a
     known = diagnose(seen, few)
 
     def without_sets(*arguments: Any) -> Posterior:
-        return replace(whole(*arguments), sets={}, pairs={})
+        return replace(whole(*arguments), sets={})
 
     monkeypatch.setattr(diagnosis, "posterior", without_sets)
     found = diagnose(seen, few)

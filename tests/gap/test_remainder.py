@@ -83,7 +83,7 @@ def _verdict(found: Posterior, candidates: list[Candidate]) -> Verdict:
 def test_a_second_effect_beside_a_remainder_is_residue_too() -> None:
     """A dead zone of 237 σ: what a warm-up adds to it is 0.8 %, and something else 1 %."""
     evidence = {"none": 0.0, "gyro_dead_zone": 56_201.0, "gyro_dead_zone+gyro_warm_up": 56_650.0, "unknown": 57_212.0}
-    found = Posterior({"unknown": 1.0} | dict.fromkeys(evidence, 0.0) | {"unknown": 1.0}, evidence, {}, {}, {})
+    found = Posterior({"unknown": 1.0} | dict.fromkeys(evidence, 0.0) | {"unknown": 1.0}, evidence, {}, {})
     said = _verdict(found, [_candidate("gyro_dead_zone", 56_201.0), _candidate("gyro_warm_up", 100.0)])
     assert (said.kind, said.effects, said.residue) == ("effect", ("gyro_dead_zone",), "unknown")
 
@@ -98,7 +98,7 @@ def test_an_effect_that_may_act_instead_of_a_nominal_term_is_in_the_class() -> N
         "gyro_saturation+gyro_warm_up": 100_000.0,
     }
     best = "gyro_saturation+gyro_warm_up"
-    found = Posterior({best: 1.0} | dict.fromkeys(evidence, 0.0) | {best: 1.0}, evidence, {}, {}, {})
+    found = Posterior({best: 1.0} | dict.fromkeys(evidence, 0.0) | {best: 1.0}, evidence, {}, {})
     candidates = [_candidate(name, value) for name, value in evidence.items() if "+" not in name and name != "none"]
     said = _verdict(found, candidates)
     assert (said.kind, said.effects) == ("indistinguishable", ("gyro_scale_factor",))
@@ -107,7 +107,7 @@ def test_an_effect_that_may_act_instead_of_a_nominal_term_is_in_the_class() -> N
 
 def test_terms_of_a_nominal_model_leave_no_residue_of_form() -> None:
     evidence = {"none": 0.0, "gyro_bias": 9400.0, "gyro_bias+gyro_scale_factor": 9600.0}
-    found = Posterior({"gyro_bias+gyro_scale_factor": 1.0, "gyro_bias": 0.0, "none": 0.0}, evidence, {}, {}, {})
+    found = Posterior({"gyro_bias+gyro_scale_factor": 1.0, "gyro_bias": 0.0, "none": 0.0}, evidence, {}, {})
     said = _verdict(found, [_candidate("gyro_bias", 9400.0), _candidate("gyro_scale_factor", 300.0)])
     assert (said.kind, said.effects) == ("pair", ("gyro_bias", "gyro_scale_factor"))
 
@@ -127,7 +127,7 @@ def test_more_noise_than_declared_is_no_residue_of_form() -> None:
     evidence = {"none": 0.0, "lever_arm": 2000.0, "gyro_noise_excess+lever_arm": 2015.0}
     probability = {"gyro_noise_excess+lever_arm": 1.0, "lever_arm": 0.0, "none": 0.0}
     for levels, kind in ((frozenset({"gyro_noise_excess"}), "pair"), (frozenset(), "effect")):
-        found = Posterior(probability, evidence, {}, {}, {}, levels)
+        found = Posterior(probability, evidence, {}, {}, levels)
         said = _verdict(found, [_candidate("lever_arm", 2000.0)])
         assert said.kind == kind
 
@@ -147,7 +147,7 @@ def test_a_weak_second_effect_is_named_and_said_to_be_residue_perhaps(
     """Also one that acts on the noise and has no signature of its own."""
     pair = "+".join(sorted(["gyro_dead_zone", second]))
     evidence = {"none": 0.0, "gyro_dead_zone": 2000.0, pair: both}
-    found = Posterior({pair: 1.0, "none": 0.0}, evidence, {}, {}, {})
+    found = Posterior({pair: 1.0, "none": 0.0}, evidence, {}, {})
     signatures = [_candidate("gyro_dead_zone", 2000.0)]
     if second == "gyro_warm_up":
         signatures.append(_candidate(second, 100.0))

@@ -60,7 +60,7 @@ def test_a_single_small_event_is_noise(segments: dict[int, float], size: float, 
 
 @pytest.mark.parametrize("size", [3.5, 5.0])
 def test_a_single_small_event_in_louder_noise_is_noise(size: float) -> None:
-    """The level of the noise is a cause of its own, but it does not change what a small event is."""
+    """A wrong noise level is a separate cause. It does not change what a small event is."""
     offset = offsets({9: 11.0}, size)
 
     def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:

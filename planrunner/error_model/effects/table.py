@@ -110,6 +110,10 @@ class TablePositionError:
         return single(columns)
 
 
+RIPPLES = (1, 2)
+"""Numbers of periods per turn of the ripples that `TableRateRipple` describes."""
+
+
 class TableRateRipple:
     """Multiplies the rate of the table by 1 + a·cos(nθ + φ), where θ is the angle of the table, and n is 1 or 2. The effect is a
     ripple with n periods per turn, which the encoder does not show."""
@@ -128,7 +132,7 @@ class TableRateRipple:
             return []
         turn = observed.rate[:, None] * observed.table_axis
         found = []
-        for n in (1, 2):
+        for n in RIPPLES:
             waves = {"cos": np.cos(n * observed.angle), "sin": np.sin(n * observed.angle)}
             columns = tuple(
                 Column(

@@ -218,8 +218,8 @@ def diagnose(observed: Observed, options: DiagnosisOptions = DiagnosisOptions())
     key = key_of(named)
     if len(named) > 1 and key not in found.sets:  # of this set, only the quick evaluation is known
         own = evaluated(weighing, [by_id[name] for name in named])
-        found = replace(found, sets={**found.sets, key: own}, pairs={**found.pairs, key: own.weighed})
-    after = found.pairs.get(key) or (by_id[named[0]].best if named else None)
+        found = replace(found, sets={**found.sets, key: own})
+    after = found.sets[key].weighed if key in found.sets else by_id[named[0]].best if named else None
     walks = {
         effect.id for effect in effects if isinstance(effect, OutsideCoefficients) and effect.outside == "random walk"
     }

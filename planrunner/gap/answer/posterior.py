@@ -60,16 +60,14 @@ class Posterior:
     cause. A set of effects has a name such as 'a+b', in alphabetical order, or 'a+b+unknown' if something else acts in addition. An
     effect on the level of the noise is a cause only if nothing else acts. `noise`: probability of each effect on the level of the
     noise, summed over all causes. `log_evidence`: log evidence of each hypothesis relative to "none"; for effects, this log
-    evidence is computed from the coefficients alone. `pairs`: evaluated columns of each set of two or more deterministic effects.
-    `sets`: the sets in `pairs`, each with its effects. `kinds`: log evidence, relative to "none", of each pattern that belongs to
-    "unknown". `by_channel`: for each pattern, an array of shape (K,), its log Bayes factor in each channel alone. `levels`: names
-    of the effects that only change the noise level. `lines`: tones in the recording. `beside`: probability that a tone or bursts
-    are present in addition to an effect.
+    evidence is computed from the coefficients alone. `sets`: the evaluated sets of two or more deterministic effects. `kinds`: log
+    evidence, relative to "none", of each pattern that belongs to "unknown". `by_channel`: for each pattern, an array of shape (K,),
+    its log Bayes factor in each channel alone. `levels`: names of the effects that only change the noise level. `lines`: tones in
+    the recording. `beside`: probability that a tone or bursts are present in addition to an effect.
     """
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
-    pairs: dict[str, Weighed] = field(repr=False)
     kinds: dict[Pattern, float]
     by_channel: dict[Pattern, Array] = field(repr=False)
     levels: frozenset[str] = frozenset()
@@ -200,7 +198,6 @@ def posterior(
     return Posterior(
         dict(sorted(_of_causes(shares, levels).items(), key=lambda item: -item[1])),
         found,
-        {key: one.weighed for key, one in sets.items()},
         plainly,
         kinds.by_channel,
         levels | noise.apart.keys(),

@@ -132,6 +132,8 @@ def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float
 
 
 RIVAL = 0.02  # fraction of the first's probability: less likely members of a class are left out, because the data exclude them
+UNCOMPARED = 0.1
+"""The same, for hypotheses without signatures that could be compared: "unknown", and sets of effects on the noise."""
 COVERED = 0.95
 ELSEWHERE = 0.5  # share of an effect's energy in other channels at and above which it is not form residue
 BESIDE = 0.5  # the probability above which an effect on the noise, a tone or bursts are stated beside a cause
@@ -195,7 +197,7 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
     left = found.probability.get(key_of([*top.split("+"), UNKNOWN]), 0.0) > found.probability.get(top, 0.0)
     left = left or found.beside > BESIDE
     if named == top or residue is None:
-        rivals = _rivals(likely, by_id, top) if "+" not in top else _rival_sets(likely, found.pairs, by_id, top)
+        rivals = _rivals(likely, by_id, top) if "+" not in top else _rival_sets(likely, found.sets, by_id, top)
     else:
         beside = {
             without: value
@@ -205,7 +207,7 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
         rivals = _rivals(beside, by_id, named) if "+" not in named else (named,)
     if remainder is not None and "+" not in named:
         rivals += tuple(name for name in _instead(found.log_evidence, first, named, by_id) if name not in rivals)
-    if remainder is None and residue is None and likely.get(UNKNOWN, 0.0) > likely.get(top, 0.0) / 10:
+    if remainder is None and residue is None and likely.get(UNKNOWN, 0.0) > UNCOMPARED * likely.get(top, 0.0):
         rivals = (*rivals, UNKNOWN)
     return _named(tuple(named.split("+")), rivals, remainder or residue, left)
 
@@ -275,7 +277,7 @@ def _rivals(probability: Mapping[str, float], by_id: Mapping[str, Candidate], to
 
 
 def _rival_sets(
-    probability: Mapping[str, float], sets: Mapping[str, Weighed], by_id: Mapping[str, Candidate], top: str
+    probability: Mapping[str, float], sets: Mapping[str, EffectSet], by_id: Mapping[str, Candidate], top: str
 ) -> tuple[str, ...]:
     """Returns the sets that differ from `top` in one effect and cannot be distinguished from it; the first one is `top` itself."""
     found = [top]
@@ -287,9 +289,9 @@ def _rival_sets(
             continue
         ours, other = (key_of(part for part in key.split("+") if part in by_id) for key in (top, name))
         confusable = (
-            _confusable(sets[ours], [sets[other]])
+            _confusable(sets[ours].weighed, [sets[other].weighed])
             if ours in sets and other in sets and ours != other
-            else value > probability.get(top, 0.0) / 10
+            else value > UNCOMPARED * probability.get(top, 0.0)
         )
         if confusable:
             found.append(name)

@@ -233,7 +233,7 @@ def _check_limits(observed: Observed, mark: Mark, log: Findings) -> None:
             nearest = others[np.argmin(np.abs(others - extreme))]
             if count >= LIMITED * np.count_nonzero(np.isclose(others, nearest, rtol=1e-9, atol=0.0)):
                 value = f"{extreme / channel.factor:.4g} {channel.unit}"
-                message = f"'{channel.name}' has the value {value} in {count / len(values):.1%} of the samples, and never exceeds it"
+                message = f"'{channel.name}' has the value {value} in {count / len(values):.1%} of the samples, and no sample beyond it"
                 hint = "the output is limited, which looks like an effect: lower the rates, or set a larger measurement range"
                 log.warning("gap-saturated", mark, message, hint)
 

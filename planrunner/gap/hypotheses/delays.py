@@ -83,7 +83,7 @@ def in_step(
             break
     u = max(one.uncertainty for one in found.values())
     whole = {label: Delay(late + (found[label].seconds if label in found else 0.0), u) for label, late in total.items()}
-    return seen, [_declared(observed, whole, period)]
+    return seen, [_declared(observed, whole, max(steps.values()))]
 
 
 def _carried(observed: Observed, known: Mapping[str, float]) -> dict[str, float]:
@@ -97,12 +97,12 @@ def _carried(observed: Observed, known: Mapping[str, float]) -> dict[str, float]
     return found
 
 
-def _declared(observed: Observed, whole: Mapping[str, Delay], period: float) -> WrongDeclaration:
+def _declared(observed: Observed, whole: Mapping[str, Delay], step: float) -> WrongDeclaration:
     """Describes delays as a wrong declaration: as lost samples if the outputs are earlier from one segment on, and as a delay
     otherwise. The outputs are shifted by whole samples, so the standard uncertainty is at least that of a rounding to whole
-    samples. `whole`: the delay of each segment, by label. `period`: sampling period, s."""
+    samples. `whole`: the delay of each segment, by label. `step`: longest interval between samples (or bins), s."""
     labels, values = list(whole), np.array([one.seconds for one in whole.values()])
-    u = float(np.hypot(max(one.uncertainty for one in whole.values()), period / np.sqrt(12)))
+    u = float(np.hypot(max(one.uncertainty for one in whole.values()), step / np.sqrt(12)))
     if np.ptp(values) <= max(LATE, SURE * u):
         late = float(np.median(values))
         size = f"{abs(late) * 1e3:.4g} ± {u * 1e3:.2g} ms"

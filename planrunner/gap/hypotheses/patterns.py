@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
+from planrunner.error_model.effects.table import RIPPLES
 from planrunner.error_model.observed import Observed
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.observation.surroundings import CHANGED
@@ -79,7 +80,6 @@ changes."""
 SIZES = Pattern("size of the effect by motion", Sort.SEVERAL, Factor.RATE)
 SMOOTH_ORDERS = 6
 TIME_ORDERS = 40  # of a drift over the run
-KNOWN_RIPPLES = (1, 2)  # periods per turn of a ripple of the table's rate that is an effect of the catalogue
 
 
 def designs(weighing: Weighing) -> Iterator[PatternDesign]:
@@ -130,7 +130,7 @@ def designs(weighing: Weighing) -> Iterator[PatternDesign]:
         yield WHOLE[sort], [rows[sort]] * everywhere
         alike = Pattern(f"{h} per turn, alike", sort, Factor.TABLE_ANGLE)
         same = _alike(weighing, rows[sort])
-        if h in KNOWN_RIPPLES:
+        if h in RIPPLES:  # an effect of the catalogue
             yield alike, [same] * everywhere
         else:
             along = _along_axis(weighing, h)
