@@ -3,13 +3,14 @@ the fact that the velocity should be zero.
 
 In the coarse alignment, the mean specific force f points up, and the cross product ω × f with the mean rate ω points east
 (Britting, "Inertial Navigation Systems Analysis", 1971, chapter 9). In the fine alignment, the navigator starts with the coarse
-attitude. As the unit does not move, any computed velocity is an error. The computed velocity is the measurement of a Kalman filter
+attitude. Because the unit does not move, any computed velocity is an error. This velocity is the measurement of a Kalman filter
 with the linear error equations. The filter estimates tilt and azimuth with their covariance (gyrocompassing). Small rotations of
 the unit (swaying) are permitted, because the gyros measure them.
 
 While the unit keeps its attitude, constant sensor errors cannot be distinguished from tilt and azimuth (`ErrorEquations.levelled`).
-If the unit is turned about the vertical, with stops in between, they can be distinguished. The filter then has further states: the
-constant sensor errors, and the gyro errors due to scale factor and misalignment, which are proportional to the rate of turn.
+If the unit is turned about the vertical, with stops in between, these errors can be distinguished. The filter then has further
+states: the constant sensor errors, and the gyro errors due to scale factor and misalignment, which are proportional to the rate of
+turn.
 """
 
 from __future__ import annotations

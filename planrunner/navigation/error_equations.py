@@ -4,7 +4,8 @@ oscillations.
 The state, in SI units, contains the position errors east and north, the velocity errors east and north, and the tilt (φ_E, φ_N,
 φ_U). The tilt is the rotation from the true to the computed attitude, C_computed = (1 − φ×)·C. The inputs, in navigation axes, are
 gyro errors ε and accelerometer errors ∇. The equations have the φ-angle form of Titterton and Weston, "Strapdown Inertial
-Navigation Technology", 2nd ed., section 12.3. With the vertical channel held (constant height, no vertical velocity), they are:
+Navigation Technology", 2nd ed., section 12.3. With the vertical channel held (constant height, no vertical velocity), the equations
+are:
 
     δv̇_E = −g·φ_N + 2Ω_U·δv_N + ∇_E          φ̇_E = −δv_N/R_N + Ω_U·φ_N − Ω_N·φ_U − ε_E
     δv̇_N =  g·φ_E − 2Ω_U·δv_E + ∇_N          φ̇_N =  δv_E/R_E − Ω_U·δL − Ω_U·φ_E − ε_N
@@ -57,15 +58,16 @@ class ErrorEquations:
         return cls(dynamics, inputs)
 
     def step(self, seconds: float) -> tuple[Array, Array]:
-        """Returns the transition matrix (7, 7) over a time, and the response (7, 6) to inputs that are constant during this time."""
+        """Returns the transition matrix (7, 7) over the time `seconds`, and the response (7, 6) to inputs that are constant during
+        this time."""
         both = np.zeros((SIZE + INPUTS, SIZE + INPUTS))
         both[:SIZE, :SIZE], both[:SIZE, SIZE:] = self.dynamics, self.inputs
         found = exponential(both * seconds)
         return found[:SIZE, :SIZE], found[:SIZE, SIZE:]
 
     def noise(self, density: Array, seconds: float) -> Array:
-        """Returns the covariance (7, 7) that white noise of the inputs adds over a time (Van Loan, IEEE Trans. Automatic Control
-        23, 1978).
+        """Returns the covariance (7, 7) that white noise of the inputs adds over the time `seconds` (Van Loan, IEEE Trans.
+        Automatic Control 23, 1978).
 
         `density`: array of shape (6, 6), variance per second of the integrated inputs, in rad²/s and (m/s)²/s."""
         both = np.zeros((2 * SIZE, 2 * SIZE))
@@ -100,8 +102,8 @@ class ErrorEquations:
         """Computes the tilt after an alignment at rest for a constant error of 1 rad/s or 1 m/s² in each input, shape (3, 6). With
         this tilt and without errors of position and velocity, the derivatives δv̇_E, δv̇_N and φ̇_E are zero.
 
-        For the errors ε and ∇, it is φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L). φ_U is the limit of accuracy
-        of gyrocompassing.
+        For the errors ε and ∇, the tilt is φ_E = −∇_N/g, φ_N = ∇_E/g, and φ_U = tan L·∇_E/g − ε_E/(Ω·cos L). φ_U is the limit of
+        accuracy of gyrocompassing.
         """
         g, rate_n, rate_u = self.dynamics[3, 4], -self.dynamics[4, 6], self.dynamics[4, 5]
         found = np.zeros((3, INPUTS))

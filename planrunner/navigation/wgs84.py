@@ -1,8 +1,8 @@
 """Computes the radii of curvature and the normal gravity of the ellipsoid WGS-84.
 
 Constants and formulas follow NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above
-the ellipsoid is the second-order series of that document, in the direction of the normal of the ellipsoid. The inclination of
-gravity to this normal, 8·10⁻⁹ m/s² for each metre of height, is neglected.
+the ellipsoid is the second-order series of that document, in the direction of the normal of the ellipsoid. The component of gravity
+perpendicular to this normal, at most 8·10⁻⁹ m/s² for each metre of height, is neglected.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def radii(latitude: ArrayLike) -> tuple[Array, Array]:
 
 
 def normal_gravity(latitude: ArrayLike, height: ArrayLike = 0.0) -> Array:
-    """Returns normal gravity [m/s^2] at a latitude [rad] and a height above the ellipsoid [m]; positive values mean downwards."""
+    """Returns normal gravity [m/s^2] at a latitude [rad] and a height above the ellipsoid [m], positive downwards."""
     s = np.sin(latitude) ** 2
     h = np.asarray(height, dtype=float) / SEMI_MAJOR_AXIS
     surface = GRAVITY_AT_EQUATOR * (1 + SOMIGLIANA * s) / np.sqrt(1 - ECCENTRICITY_SQUARED * s)

@@ -1,13 +1,13 @@
 """Finds spikes in recorded angles: single samples that do not agree with the motion around them.
 
-The angle of an encoder or a gimbal may keep one value for a long time. While the base rocks, on the other hand, successive samples
-differ by far more than a harmful spike. Each sample is therefore compared with a prediction from the three samples before it and
-the three samples after it: the interpolation through these six equally spaced points. For a sine whose phase advances by φ from
-sample to sample, the error of the prediction is (2·sin(φ/2))⁶/20 of the amplitude: 3·10⁻⁴ for 15 samples per period. A sample is a
-spike if two conditions hold. First, neither the noise nor the motion around the sample explains its distance from the prediction.
-Second, if the prediction replaces the sample, all neighbours of the sample agree with the motion. The second condition excludes
-steps, and sudden starts and stops of the motion. A small sudden change of the rate looks nearly like a spike. Of these two
-explanations, the one that fits better is chosen.
+The angle of an encoder or a gimbal may keep one value for a long time. While the base rocks, however, the difference between
+successive samples is far larger than a harmful spike. Each sample is therefore compared with a prediction from the three samples
+before it and the three samples after it: the interpolation through these six equally spaced points. For a sine whose phase advances
+by φ from sample to sample, the error of the prediction is (2·sin(φ/2))⁶/20 of the amplitude: 3·10⁻⁴ for 15 samples per period. A
+sample is a spike if two conditions hold. First, neither the noise nor the motion around the sample explains its distance from the
+prediction. Second, after the prediction has replaced the sample, all neighbours of the sample agree with the motion. The second
+condition excludes steps, and sudden starts and stops of the motion. A small sudden change of the angular rate is similar to a
+spike. The explanation that fits better is chosen.
 
 The samples next to the ends of a segment have fewer than three neighbours on one side. These samples are compared with the parabola
 through the next three samples. The first and the last sample are not examined, because a motion may begin or end there.
@@ -50,7 +50,7 @@ _ROUNDED = 1e-9  # rad: a smaller change of the rate comes from the rounding of 
 
 
 class AngleSpikes:
-    """Examines the samples of one channel in one pass over a segment."""
+    """Finds spikes in the samples of one channel in one pass over a segment."""
 
     def __init__(self, channel: str, radian: float, count: float, factor: float) -> None:
         """`radian`: one radian in the channel's unit. `count`: declared resolution in the channel's unit; 0 if none is declared.
@@ -157,8 +157,8 @@ class AngleSpikes:
         return min(_COUNTS * float(bends.min(initial=math.inf)), _COARSE * self.radian)
 
     def _at_the_end(self, x: Array) -> list[tuple[int, float, float]]:
-        """Finds a spike among the first samples of x (n,). For the last samples of a segment, x must be reversed. Returns its index
-        in x, its deviation and the noise as the only entry of a list; the list is empty if there is no spike."""
+        """Finds a spike among the first samples of x (n,). For the last samples of a segment, x must be reversed. Returns the index
+        of the spike in x, the deviation and the noise as the only entry of a list. The list is empty if there is no spike."""
         scale = _SCALE * float(np.median(np.abs(_off_parabola(x))))
         for k in range(1, _SIDE):
             off = float(_off_parabola(x[k : k + 4])[0])

@@ -27,7 +27,7 @@ from planrunner.observation.lattice import levels_of, settled
 from planrunner.physics.sampled_motion import period_of, turned_by
 
 BUDGET = 200_000  # largest recording that is used unchanged, in samples, and approximate number of bins of a longer one
-PER_PERIOD = 64  # bins in a turn or a period: within one, what turns is its value at the middle and a curvature
+PER_PERIOD = 64  # bins in a turn or a period: enough to describe a signal within a bin by its middle value and its curvature
 FEWEST = 64  # bins in a segment
 SPIKE = 6.5  # robust standard deviations: about one normal sample in 10^10
 _PIECE = 1 << 15  # samples taken at once
@@ -94,7 +94,7 @@ def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
 
 def seen_along(bins: Bins, along: Array) -> Bins:
     """Returns the bins of a triad's readings after the readings have been projected onto one direction for each segment. `along`:
-    array of shape (S, 3), unit vectors. For the projected readings, there is no size of a count."""
+    array of shape (S, 3), unit vectors. The projected readings have no count."""
     energy = np.einsum("si,sij,sj->s", along, bins.energy, along)[:, None, None]
     return replace(bins, energy=energy, spikes=bins.spikes.sum(keepdims=True), levels=(np.empty(0),))
 

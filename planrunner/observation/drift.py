@@ -1,7 +1,7 @@
 """Describes a slow drift of the outputs during a test by drift functions. A drift function depends on the time, on the temperature,
 or on the temperature's rate of change. The drift of an output is a multiple of one such function, or a sum of multiples of several.
 
-A drift is not a result: the drift functions are fitted together with the coefficients only so that the unknown drift contributes to
+A drift is not a result. The drift functions are fitted together with the coefficients only so that the unknown drift contributes to
 the uncertainties of the coefficients. A drift function is represented by its mean over each segment, minus its average over the
 recorded time of all segments that the estimate uses. A fitted constant is therefore the value at the average time, the average
 temperature and the average rate of change of the whole test. The constant has the same meaning for outputs that use only some of
@@ -60,11 +60,10 @@ def thermometer() -> str | None:
 class DriftCourse:
     """Contains one drift function as columns for a fit.
 
-    `columns`: array of shape (n, r), one column for each of r parts of an output, without the unit of the output. `per`: the unit
-    in the denominator of a fitted amplitude, whose unit is the unit of the output divided by `per`. `parts`: names of the parts if
-    there are several. `order`: power of the time; 0 if the drift function is not a function of the time. `changed`: change of the
-    recorded temperature between segments, K, if the drift function follows the temperature and the change is significant; otherwise
-    0.
+    `columns`: array of shape (n, r), values of the drift function for each of r parts of an output, in the unit `per`. A fitted
+    amplitude has the unit of the output divided by `per`. `parts`: names of the parts if there are several. `order`: power of the
+    time; 0 if the drift function is not a function of the time. `changed`: change of the recorded temperature between segments, K,
+    if the drift function follows the temperature and the change is significant; otherwise 0.
     """
 
     name: str
@@ -81,7 +80,7 @@ class DriftCourses:
 
     `by_evidence`: True if only the drift functions that the data show are fitted; False if all drift functions are fitted. `fits`:
     number of separate fits that search for the same drift. `shown`: names of the drift functions that at least one of these fits
-    shows; every fit whose segments allow it then includes them.
+    shows; each fit then includes these functions if its segments allow it.
     """
 
     courses: tuple[DriftCourse, ...] = ()
@@ -223,8 +222,8 @@ def _centred(values: Array, seconds: Array) -> Array:
 
 
 def recorded_thermometer(segments: Sequence[RecordedSegment], channel: str | None, by_evidence: bool) -> str | None:
-    """Returns the thermometer among the channels that all segments record. The thermometer is chosen as in `thermometer_of`.
-    `channel`, `by_evidence`: the same as there."""
+    """Returns the thermometer among the channels that all segments record. The choice and the arguments `channel` and `by_evidence`
+    are the same as in `thermometer_of`."""
     return thermometer_of(_common(segments), channel, by_evidence)
 
 

@@ -1,5 +1,5 @@
 """Computes how an output's bias instability affects the means of segments. Bias instability is flicker noise. The slow part of this
-noise makes the means of all segments of a test correlated.
+noise correlates the means of all segments of a test.
 
 Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). The spectrum of flicker
 has no lower limit, so a constant can be defined only as an average over some time span. The plan states this span, and the test
@@ -26,7 +26,7 @@ SPAN = parse_quantity("24 h")
 
 
 def drift_span() -> Quantity:
-    """Makes the key for the time span over which a constant is defined as the average."""
+    """Makes the plan key for the time span. A constant is defined as the average over this span."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
         "A reported constant is the mean over this time span. The span is at least as long as the test, and the test is in its middle. "
@@ -38,8 +38,8 @@ def drift_span() -> Quantity:
 
 
 def flicker_errors(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
-    """Returns the correlated error of each output whose bias instability is stated. `span`: time span around the test, over which a
-    constant is the average, s."""
+    """Returns the correlated error of each output whose bias instability is stated. `span`: time span [s] around the test; a
+    constant is defined as the average over this span."""
     outputs = observations.channels
     stated = {
         k: quantity for k, name in enumerate(outputs) if (quantity := inputs.of_output(Aspect.BIAS_INSTABILITY, name))
@@ -51,7 +51,7 @@ def _effects(
     observations: Observations, stated: Mapping[int, InputQuantity], span: float
 ) -> tuple[CorrelatedError, ...]:
     """Returns the flicker of the outputs whose bias instability is given. `stated`: bias instability by the index of the output.
-    `span`: time span around the test, over which a constant is the average, s."""
+    `span`: the same as in `flicker_errors`."""
     if not stated:
         return ()
     root = _root(mean_covariance(observations.start, observations.end, span))
@@ -74,8 +74,8 @@ def _root(covariance: Array) -> Array:
 
 def unstated_flicker(observations: Observations, inputs: Inputs, span: float) -> tuple[CorrelatedError, ...]:
     """Returns the flicker of each output for which the bench file states no bias instability, with the size B = 1 in the output's
-    unit. For expected observations, the result is empty, because such observations contain only declared effects. `span`: time span
-    around the test, over which a constant is the average, s."""
+    unit. For expected observations, the result is empty, because such observations contain only declared effects. `span`: the same
+    as in `flicker_errors`."""
     outputs = [] if observations.expected else [*enumerate(observations.channels)]
     silent = {k: of_unit_size(name, observations.units[k]) for k, name in outputs if name in inputs.without_flicker}
     return _effects(observations, silent, span)
@@ -109,7 +109,7 @@ def weighted_covariance(weights: Array, step: float, span: float) -> Array:
 
     The result agrees with `mean_covariance`. As all intervals have the same length, the covariance of two means depends only on the
     distance between their intervals. The product of the covariance matrix with the weights is therefore a convolution (a Toeplitz
-    matrix embedded in a circulant one), so that n may be thousands.
+    matrix embedded in a circulant one), so that n may be several thousand.
     """
     n = weights.shape[-1]
     low: Array = step * np.arange(n, dtype=np.float64)
@@ -168,8 +168,8 @@ def scatter_within(batches: NDArray[np.int64], courses: Sequence[Array] = ()) ->
     A mean over the time T has the variance (c − ln T + 3/2)/π, where c is a constant. The variance of one batch mean is therefore
     larger by ln b/π than the variance of the mean of all batches. If functions of time are fitted to the batch means, the fit
     removes a part of the flicker. The contribution is then tr(R·K·R)/(b·ν), where R is the projection onto the residuals of the
-    fit, K is the covariance of the batch means, and ν is the number of degrees of freedom. `courses`: the fitted functions of time,
-    as in `Observations`.
+    fit, K is the covariance of the batch means, and ν is the number of degrees of freedom. `batches`: array of shape (n,), number b
+    of batches of each mean. `courses`: the fitted functions of time, as in `Observations`.
     """
     b = np.maximum(batches, 2).astype(float)
     plain = np.where(batches > 1, np.log(b) / (np.pi * (b - 1)), 0.0)

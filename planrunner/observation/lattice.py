@@ -1,5 +1,5 @@
-"""Finds the count of a channel, which is the step of which all values are multiples. The levels of a channel are its distinct
-values in units of the declared count, rounded to hundredths. They are collected piece by piece."""
+"""Finds the count of a channel. All values of the channel are multiples of its count. The levels of a channel are its distinct
+values in units of the declared count, rounded to hundredths. The levels are collected piece by piece."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def holds(levels: Array) -> bool:
 
 
 def undeclared_step(values: Array, fewest: int = MANY) -> float:
-    """Finds the count of a channel that has no declared count, in the channel's unit. Returns 0 if the N values are not multiples
-    of any count. `fewest`: different values needed to recognise the count."""
+    """Returns the count of a channel that has no declared count, in the channel's unit; 0 if the values are not multiples of any
+    count. `values`: array of shape (N,). `fewest`: number of different values needed to recognise the count."""
     some = values[:: max(len(values) // _PIECE, 1)]
     distinct = np.unique(np.round((some - some.min()) / max(float(np.ptp(some)), 1e-300), 9))
     steps = np.diff(distinct) * float(np.ptp(some))
@@ -60,7 +60,7 @@ def undeclared_step(values: Array, fewest: int = MANY) -> float:
 
 
 def seen_levels(values: Array, step: float) -> Array:
-    """Returns the levels of the values (N,). They are collected piece by piece, until further values cannot change the result."""
+    """Returns the levels of the values (N,). The values are read piece by piece, until further values cannot change the result."""
     levels = np.empty(0)
     for first in range(0, len(values), _PIECE):
         levels = np.union1d(levels, levels_of(values[first : first + _PIECE], step))

@@ -173,9 +173,9 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
 
 def about_course(recorded: RecordedSegment, channel: str, course: Callable[[Array], Array]) -> float:
     """Computes the standard error of a channel's mean over a segment from the scatter of the samples about a known function of
-    time. The samples are read again for this purpose. If there are no samples, only published statistics, the standard error comes
-    from these statistics. `course`: returns this function at times (k,), s since the start of the segment, in the unit of the
-    channel."""
+    time. The samples are read again for this purpose. If only published statistics are available instead of samples, the standard
+    error comes from these statistics. `course`: returns this function at times (k,), s since the start of the segment, in the unit
+    of the channel."""
     whole = recorded.statistics
     if recorded.summary:
         return float(whole.standard_error[whole.of(channel)])
@@ -241,7 +241,8 @@ def within_segment_noise(
     The variance of each mean is multiplied by its recorded time, and the product is pooled over the segments. If Bartlett's test
     (Snedecor and Cochran, Statistical Methods, 13.10) finds that the product differs between the segments, each segment keeps its
     own value. For equal noise, the weights therefore depend only on the recorded time, and not on chance differences between short
-    segments. `explained`: array of shape (n,), part of the variance of the means that has another known cause; it is subtracted.
+    segments. `channel`: index of the channel. `explained`: array of shape (n,), part of the variance of the means that has another
+    known cause; this part is subtracted.
     """
     error = observations.standard_error[:, channel]
     if observations.expected:
@@ -291,7 +292,7 @@ def variances_differ(variances: Array, degrees: Array, pooled: float) -> bool:
 
 
 def dithered(sensor: SensorModel, channel: str, variance: float | Array) -> NDArray[np.bool_]:
-    """Returns True for each variance that is large enough for the noise of the samples to dither the mean of the channel
+    """Returns True for each variance with which the rounding to counts averages out in the mean of the channel
     (`NoiseModel.dithers`). `variance`: variance of the samples, in the channel's squared unit."""
     return _noise(sensor, channel).dithers(variance)
 

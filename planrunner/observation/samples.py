@@ -67,20 +67,20 @@ def observed(
     free_angle: bool = False,
     late: Mapping[str, float] | None = None,
 ) -> Observed:
-    """Makes the input of a diagnosis from the recorded segments of a run. The segments are put in order of time, because slow noise
-    and hysteresis require it.
+    """Makes the input of a diagnosis from the recorded segments of a run. The segments are sorted by time, because slow noise and
+    hysteresis require it.
 
     `only`: names of the channels to use, by default all. `measured`: channels that are used as measurements, whatever their names
     and units. By default, the name of a channel gives its axis (`axis_of`), and its unit makes it a gyro (angular rate) or an
     accelerometer (acceleration). `angle_channel`: channel of the table's encoder. `temperature_channel`: channel of the
     thermometer. `supply_channel`: channel of the voltmeter for the supply. `pressure_channel`: channel of the barometer. If the
     channel of a quantity is not given, the values of this quantity in the plan are used. `power_on`: time of power-on, in the time
-    of the recording, s. `free_angle`: determines the angle of a table without encoder. If it is True, the angle that agrees best
-    with the Earth's rate is used. An input that varies once per turn with an unknown phase then counts as noise, as in a diagnosis
-    (`Observed.unknown_phase`). If False, the angle is zero at the first sample, unless gravity shows the angle. Raises
-    `ObservationError` if the recording cannot be diagnosed. `magnetic`: the Earth's magnetic field in East-North-Up, if it is
-    declared. `late`: maps the label of a segment to the time [s] by which its outputs are late relative to the recorded motion; the
-    outputs are shifted by this time.
+    of the recording, s. `free_angle`: selects how the angle of a table without encoder is determined. If True, the angle that
+    agrees best with the Earth's rate is used. An input that varies once per turn with an unknown phase then counts as noise, as in
+    a diagnosis (`Observed.unknown_phase`). If False, the angle is zero at the first sample, unless gravity shows the angle. Raises
+    `ObservationError` if the recording cannot be diagnosed. `magnetic`: array of shape (3,), the Earth's magnetic field in
+    East-North-Up, in any unit; None if it is not declared. `late`: maps the label of a segment to the time [s] by which its outputs
+    are late relative to the recorded motion; the outputs are shifted by this time.
     """
     if not recording:
         raise ObservationError("no recorded segments are given: a diagnosis needs at least two")
@@ -167,9 +167,9 @@ def _part(
     """Reads one segment, without the rows that contain a NaN.
 
     Returns four values: the planned states of the segment with its samples or, if `size` is given, with means over `size` samples;
-    the rows as they were read; the uncertainty of the temperature, NaN if the temperature changes; and the motion, None if attitude
-    and angle describe it. `limits`: full scale of each output. `power_on`, `free_angle`: the same as in `observed`. `late`: time
-    [s] by which the outputs are late relative to the recorded motion."""
+    the rows that were read; the uncertainty of the temperature, NaN if the temperature changes; and the motion, None if attitude
+    and angle describe the motion. `limits`: full scale of each output. `power_on`, `free_angle`: the same as in `observed`. `late`:
+    time [s] by which the outputs are late relative to the recorded motion."""
     motion = item.segment.motion
     if isinstance(motion, RecordedMotion):
         return _moved_part(item, motion, site, limits, channels, monitors, power_on, size, late)
@@ -356,10 +356,10 @@ _UNIT = 0.05  # deviation of the norm of a quaternion from 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionShown:
-    """A motion that recorded channels show.
+    """The motion of a segment, computed from recorded channels.
 
     `table`: angle, rate and acceleration of an axis with an encoder, an array of shape (n,) each; zero without an encoder.
-    `course`: the motion if channels other than an encoder show it; None if an encoder shows it. `averaging`: number of consecutive
+    `course`: the motion if it is computed from channels other than an encoder; otherwise None. `averaging`: number of consecutive
     samples that are averaged. `usable`: array of shape (n,), True for samples with neighbours on both sides. `differences`: True if
     the rate at a sample is computed from the difference between its two neighbours.
     """
@@ -372,7 +372,7 @@ class MotionShown:
 
     def as_shown(self, values: Array) -> Array:
         """Averages outputs (n, k) in the same way as the motion. If rates are computed from differences, the outputs are averaged
-        by Simpson's rule over the interval of each difference. A fast motion is then attenuated in the outputs as it is in the
+        by Simpson's rule over the interval of each difference. A fast motion is then attenuated equally in the outputs and in the
         reference."""
         if not self.differences:
             return values
@@ -530,8 +530,8 @@ def poses(
 
 
 def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array:
-    """Finds the directions of the specific force in the sensor's axes while the nominal model is fitted to the mean readings. The
-    readings [m/s²] and the directions have the shape (S, 3).
+    """Fits the nominal model to the mean readings [m/s²], and returns the directions of the specific force in the sensor's axes.
+    The readings and the directions have the shape (S, 3). `gravity`: magnitude of gravity, m/s².
 
     Raises `ObservationError` if the fit does not converge.
     """
@@ -568,8 +568,8 @@ def directions_of(means: Array, gravity: float, nominal: Sequence[str]) -> Array
 
 
 def _columns(unit: Array, gravity: float, nominal: Sequence[str]) -> Array:
-    """Returns one column for each parameter of the terms in `nominal`: bias, scale factors and non-orthogonalities. A column
-    contains the changes of the reading along `unit` (S, 3) per unit of the parameter."""
+    """Returns one column of length S for each parameter of the terms in `nominal`: bias, scale factors and non-orthogonalities. A
+    column contains the changes of the reading along `unit` (S, 3) per unit of the parameter."""
     parts = [np.empty((len(unit), 0))]
     if "accel_bias" in nominal:
         parts.append(unit)
@@ -594,7 +594,7 @@ def _changed(step: Array, nominal: Sequence[str]) -> tuple[Array, Array]:
 
 
 def _attitude(up: Array) -> Array:
-    """Returns an attitude (3, 3) whose vertical has the direction `up` in sensor axes; its azimuth is arbitrary."""
+    """Returns an attitude (3, 3) whose vertical has the direction `up` in sensor axes. The azimuth is arbitrary."""
     helper = np.eye(3)[int(np.argmin(np.abs(up)))]
     east = np.cross(helper, up)
     east /= np.linalg.norm(east)

@@ -6,7 +6,7 @@ division into blocks, and memory does not grow with the data. For most pieces, a
 change between neighbours is examined further.
 
 *Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it (the
-identifier of Hampel, 1985). The factor g depends on the number of samples. The factor is chosen so that a sample of white Gaussian
+Hampel identifier, 1985). The factor g depends on the number of samples. The factor is chosen so that a sample of white Gaussian
 noise is an outlier with the probability `CHANCE` (Davies and Gather, "The Identification of Multiple Outliers", J. Am. Stat. Assoc.
 88 (1993) 782-792). The local median follows the motion, so that a turning or rocking sensor is compared with its own motion. The
 scale is the median absolute deviation from the local median (Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation",
@@ -19,8 +19,8 @@ channel whose noise does not reach the next count, is therefore never reported a
 
 *Segments without wrong samples.* The mean, the standard deviation and the extremes of a channel are computed without its bad
 samples. Integration and filtering read samples one by one. For them, a short bad stretch is filled by a straight line from the
-level before it to the level after it. The values of a longer bad stretch are replaced by missing numbers, which readers treat like
-samples that were never recorded. Repeated samples are dropped.
+level before it to the level after it. The values of a longer bad stretch are replaced by NaN, which is treated like samples that
+were never recorded. Repeated samples are dropped.
 """
 
 from __future__ import annotations
@@ -59,15 +59,15 @@ _NEAR_SCALE, _FAR_SCALE = (
     1.50,
 )  # σ per median absolute deviation from them, of white Gaussian noise; checked by a test
 _NEAR_WIDER, _FAR_WIDER = 1.10, 1.02  # standard deviation of an independent sample from such a median, σ
-_LARGE = 6.2  # mean changes: a larger change between neighbours, 7σ in white noise, has the piece examined
-_APART = 4.7  # mean changes: 5.3σ in white noise; of two samples with a large change between them one lies so far from its surroundings
+_LARGE = 6.2  # mean changes: a larger change between neighbours, 7σ in white noise, triggers an examination of the piece
+_APART = 4.7  # mean changes, 5.3σ in white noise: a piece is examined if a sample next to a large change is farther from its median
 _SPARSE, _STRETCH = 16, 64  # of so many stretches of so many samples one shows the noise of a piece, at little cost
 _FEW = 50  # large changes that are looked at one by one
 _SAMPLED = 4096  # distances from which the scale is taken
 _SLOPE_FROM = 16  # differences from which the slope at an end is known well enough
 _UNTRIMMED = 1.113  # mean of all changes of white Gaussian noise over the mean of the smallest 95 %
 _SETTLED = 0.25  # s: so far from a turn to a stop, a change is no part of the turn
-_JERK = 1.5  # mean changes around a sample, in a segment that may move freely: less is no outlier
+_JERK = 1.5  # mean changes around a sample, in a segment that may move freely: a smaller deviation is not an outlier
 _LEAST = 16  # samples of a segment that is examined
 _TOGETHER = 8  # good samples between outliers of one burst, at most
 _ROUGH = 1 / 6  # of the second differences of white noise: those of a sine with six samples per period
@@ -83,7 +83,7 @@ _SHORT = 64  # lengths of runs that are counted one by one
 _RUNS = 20  # runs from which the usual length is known
 _BINS, _FEWEST_BINS = 1024, 64  # means in which steps are sought
 _STEP = 8.0  # robust standard deviations of the differences between neighbouring means
-_LEVEL = 0.25  # of a step: less changes within either side of it
+_LEVEL = 0.25  # of a step: largest change of the level on either side of the step
 _STEP_LENGTHS = (4, 16)  # means on either side
 _PAUSE, _EARLY = 1.5, 0.5  # sample intervals: a sample is lost, or has come twice
 _JITTER = 0.01  # share of irregular intervals from which the clock jitters
@@ -159,8 +159,8 @@ def threshold(samples: int) -> float:
 class _Run:
     """A run of equal samples.
 
-    `row`, `time`: row and time of the first sample of the run. `last`: time of the last sample of the run, s. `before`, `after`:
-    values of the samples next to the run on either side.
+    `row`, `time`: row and time [s] of the first sample of the run. `length`: number of samples in the run. `value`: value of these
+    samples. `last`: time of the last sample of the run, s. `before`, `after`: values of the samples next to the run on either side.
     """
 
     row: int
@@ -186,7 +186,7 @@ class _Window:
     """A piece of one channel, together with neighbouring samples as far as they exist.
 
     `low`, `high`: bounds of the piece, which is values[low:high]. `usual`, `count`: mean change between neighbouring samples, and
-    size of a count, both as they were known when the piece was examined. `places`: array of shape (n,), index of the sample before
+    size of a count, both at the time of the examination of the piece. `places`: array of shape (n,), index of the sample before
     each large change in the piece. In the methods, `values`, `rows` and `times` have the same meaning as in `_Runs`.
     """
 
@@ -289,8 +289,7 @@ class _Runs:
             self._hold(values, rows, times, -1, len(values) - 1, self.length)
 
     def stuck(self) -> list[_Run]:
-        """Returns the stuck runs, that is, the runs that are longer than the noise of the channel and the size of its count can
-        explain."""
+        """Returns the stuck runs: runs whose length cannot be explained by the noise of the channel and the size of its count."""
         runs = int(self.lengths.sum())
         usual = int(np.searchsorted(np.cumsum(self.lengths), 0.99 * runs))
         longer = [one for one in self.long if one.length > RUN * max(usual, 1)]
@@ -351,8 +350,8 @@ class Screening:
         self.work = np.empty(room)  # differences of time
 
     def add(self, block: Block, ranges: Ranges | None = None) -> None:
-        """Adds the next samples. Rows with a missing number are skipped. `ranges`: smallest and largest sample of each channel; by
-        default, they are computed if they are needed."""
+        """Adds the next samples. Rows with a missing number are skipped. `ranges`: smallest and largest sample of each channel; if
+        None, they are computed when they are needed."""
         count = len(block.time)
         rows: Numbered = range(self.row, self.row + count)
         for angle in self.angles if count else ():
@@ -448,10 +447,10 @@ class Screening:
     def _channel(
         self, k: int, values: Array, rows: Numbered, times: Array, means: Array | None, low: float, high: float
     ) -> None:
-        """Examines whole pieces of one channel, or the last, shorter piece. There is nothing to report in a piece if no sample is
-        far from the mean and each sample differs from the previous one. This check is fast, so it is made for several pieces
-        together. `k`: index of the channel. `values`, `times`: arrays of shape (n,). `means`: means over short groups of samples,
-        if known. `low`, `high`: bounds within which all values lie."""
+        """Examines whole pieces of one channel, or the last, shorter piece. A piece contains no findings if no sample is far from
+        the mean and each sample differs from the previous one. This fast check is made for several pieces together. `k`: index of
+        the channel. `values`, `times`: arrays of shape (n,). `means`: means over short groups of samples, if known. `low`, `high`:
+        bounds within which all values lie."""
         last = self._last(k)
         pieces = max(len(values) // _PIECE, 1)
         size = len(values) // pieces
@@ -598,11 +597,11 @@ class Screening:
 
     def _changes_around(self, x: Array, changes: Array, places: RowNumbers, noise: float) -> Array:
         """Returns a typical change from sample to sample around each of the samples x[places]: the mean of the changes. In a
-        segment of turns and stops, the mean is taken over a short time, and a change to a single sample and back again is
-        subtracted, because it is not part of a turn. A turn on one side of a sample must not increase the result. Therefore, the
-        samples on the other side and the next two samples on this side are compared. If they lie on one level, the result is at
-        most the largest change among them. `x`: array of shape (n,). `changes`: array of shape (n - 1,), absolute differences of x.
-        `noise`: largest distance from a level that noise can cause."""
+        segment of turns and stops, the mean is taken over a short time. A change at a single sample that is followed by the
+        opposite change is subtracted, because it is not part of a turn. A turn on one side of a sample must not increase the
+        result. Therefore, the samples on the other side and the next two samples on the side of the turn are compared. If all these
+        samples lie on one level, the result is at most the largest change among them. `x`: array of shape (n,). `changes`: array of
+        shape (n - 1,), absolute differences of x. `noise`: largest distance from a level that noise can cause."""
         padded = np.append(changes, changes[-1])
         if not self.stopping:
             return np.asarray(_mean_around(padded, _FAR)[places])
@@ -681,8 +680,8 @@ class Screening:
         return Find(kind, self.channels[k], run.row, run.length, run.time, seconds, run.value, math.nan, before, after)
 
     def _flat_tops(self, k: int, known: Sequence[Find]) -> list[Find]:
-        """Finds noise that is cut off at the largest or smallest value. The sign of a cut-off is that far more samples have exactly
-        this value than a value close to it. `known`: other findings, which may explain samples at the extreme values."""
+        """Finds noise that is clipped at the largest or smallest value. The noise is clipped if far more samples have exactly this
+        value than a value close to it. `known`: other findings, which may explain samples at the extreme values."""
         runs = self.runs[k]
         if not runs.bends or runs.bend / runs.bends / PER_SIGMA <= 1.1 * runs.count:
             return []
@@ -695,8 +694,8 @@ class Screening:
         return found
 
     def _steps(self, k: int, found: Sequence[Find]) -> list[Find]:
-        """Finds lasting changes of the level. At such a place, the difference between neighbouring means is far larger than
-        elsewhere in the segment."""
+        """Finds steps, which are lasting changes of the level. At a step, the difference between neighbouring means is far larger
+        than elsewhere in the segment."""
         if not self.steady or not self.means[k]:
             return []
         means, times = np.concatenate(self.means[k]), np.concatenate(self.bin_times)
@@ -771,7 +770,7 @@ class Screening:
                     self.in_time.append(Find(kind, "", row, 1, float(time[at]), self.interval, 1.0))
 
     def _of_time(self) -> list[Find]:
-        """Returns the findings about time. Deviations that the jitter of the clock explains are not reported."""
+        """Returns the findings of lost and repeated samples. Deviations that the jitter of the clock explains are not reported."""
         if self.pauses <= _JITTER * max(self.done, 1):
             return self.in_time
         return [one for one in self.in_time if one.kind is FindKind.LOST and one.seconds > _LONG_PAUSE * self.interval]
@@ -785,7 +784,7 @@ def _widened(steps: tuple[float, float], others: tuple[float, float]) -> tuple[f
 
 def _stands_out(window: _Window) -> bool:
     """Returns True if there are many large changes, or if a sample next to a large change lies far from the samples around it. A
-    single large change proves nothing, because two opposite deviations of ordinary size can cause it."""
+    single large change is not sufficient evidence, because two opposite deviations of ordinary size can cause it."""
     if len(window.places) > _FEW:
         return True
     for place in window.places:
@@ -798,9 +797,9 @@ def _stands_out(window: _Window) -> bool:
 
 def _is_rough(values: Array) -> bool:
     """Returns True if values (n,) change too irregularly to be a sampled motion. The measure is the sum of the squared second
-    differences relative to its expectation for white noise, 6·Σx². It is 1/6 for a sine with six samples per period, and at most
-    1/12 for four or more samples on one new level. A motion that changes faster than this averages out over its periods, so its
-    values need not be kept."""
+    differences relative to its expectation for white noise, 6·Σx². The measure is 1/6 for a sine with six samples per period, and
+    at most 1/12 for four or more samples on one new level. A motion that changes faster than this averages out over its periods, so
+    its values need not be kept."""
     return bool(np.sum(np.diff(values, 2) ** 2) > _ROUGH * 6 * np.sum(values**2))
 
 
@@ -822,7 +821,7 @@ def _numbers(rows: Numbered) -> RowNumbers:
 
 
 def _as_one(finds: Sequence[Find]) -> list[Find]:
-    """Combines findings into one. The combination is used for findings that are too many to be outliers: their samples belong to
+    """Combines findings into one. This function is used if there are too many findings to be outliers. Their samples then belong to
     the noise, so the combined finding does not count as bad."""
     if not finds:
         return []
@@ -831,9 +830,9 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
 
 
 def _off(values: Array, size: int, places: RowNumbers) -> Array:
-    """Returns the distances of the selected values from local medians, each of the `size` values around the selected one. The
-    values (n,) are extended beyond both ends along straight lines with the slope at the end. The extension mirrors the deviations
-    of the values from the line. A slow change of the values therefore does not count as a distance."""
+    """Returns the distances of the selected values from local medians. Each median is taken over the `size` values around the
+    selected value. The values (n,) are extended beyond both ends along straight lines with the slope at the end. The extension
+    mirrors the deviations of the values from the line. A slow change of the values therefore does not count as a distance."""
     half = size // 2
     wide = np.pad(values, half, mode="reflect")
     if half >= _SLOPE_FROM:

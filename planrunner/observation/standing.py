@@ -26,7 +26,7 @@ _WHITE = 1.0
 """A signal counts as smooth, and shows no noise, if the ratio of its mean second difference to its mean first difference is below
 this value. The ratio is 1.73 for white noise, and far below 1 for a smooth signal."""
 RUN = 10
-"""A stretch of equal samples counts as stuck only if it is more than this many times as long as every other run of equal samples in
+"""A stretch of equal samples counts as stuck only if it is more than this many times as long as the other runs of equal samples in
 the channel."""
 PER_SIGMA = 1.954
 """Mean absolute second difference of white noise, in standard deviations of the noise."""
@@ -39,7 +39,7 @@ def with_standing(
     finding does not count as bad: samples of a bad finding are excluded, so the channel would have no data left in this segment. A
     person must decide what to do.
 
-    `chance`: a channel counts as stuck if noise leaves its value constant with at most this probability.
+    `chance`: a channel counts as stuck if the probability that noise leaves its value constant is at most `chance`.
     """
     found: dict[int, list[Find]] = {}
     for name in channels:
@@ -72,8 +72,8 @@ def _range(item: RecordedSegment, name: str) -> float:
 
 
 def _by_others(item: RecordedSegment, changing: Sequence[RecordedSegment], name: str, chance: float) -> bool:
-    """Returns True if the noise of the channel in other segments would have changed its value in this segment. The noise is taken
-    from the nearest segments in which the channel changes. `chance`: the same as in `leaves_count`."""
+    """Returns True if noise as large as in other segments would have changed the value of the channel in this segment. The noise is
+    taken from the nearest segments in which the channel changes. `chance`: the same as in `leaves_count`."""
     still = isinstance(item.segment.motion, Rest)
     alike = [one for one in changing if not still or isinstance(one.segment.motion, Rest)]
     nearest = sorted(alike, key=lambda one: abs(one.statistics.start - item.statistics.start))[:_COMPARED]
@@ -94,7 +94,7 @@ def _samples(item: RecordedSegment, name: str) -> Array:
 
 def _moves(values: Array, samples: int, chance: float) -> bool:
     """Determines the noise of the values (n,). Returns True if noise of this size would change at least one of `samples` samples.
-    `chance`: the probability of no change up to which a change counts as certain."""
+    `chance`: the same as in `leaves_count`."""
     if len(values) < _LEAST:
         return False
     first, second = np.abs(np.diff(values)), np.abs(np.diff(values, 2))
@@ -107,9 +107,10 @@ def _moves(values: Array, samples: int, chance: float) -> bool:
 
 
 def leaves_count(noise: float, count: float, samples: int, chance: float) -> bool:
-    """Returns True if white noise with the standard deviation `noise` would not stay within one count for `samples` samples: the
-    probability of staying is at most `chance`. A part of the variance, 0.3 count², is not attributed to noise, because a channel
-    that alternates between two counts has such a variance even without noise."""
+    """Returns True if white noise with the standard deviation `noise` would move at least one of `samples` samples to another
+    count. A move counts as certain if the probability that all samples stay within one count is at most `chance`. A part of the
+    variance, 0.3 count², is not attributed to noise, because a channel that alternates between two counts has such a variance even
+    without noise."""
     beyond = noise**2 - 0.3 * count**2
     if beyond <= 0:
         return False

@@ -38,10 +38,10 @@ def still_spans(recorded: RecordedSegment, detection: Detection) -> list[StillSp
     """Finds the still spans of a recorded segment and their means, in one pass over the samples.
 
     A sample is still if the standard deviation of every channel, in a window of the length `detection.window` around the sample, is
-    below `detection.threshold`. A span is a run of still samples with a duration of at least `at_least`. A span therefore begins
-    half a window after a motion, and ends half a window before the next motion. A change of the sample rate ends a span. Rows with
-    a missing value are left out. A window that lasts more than 1.5 times `detection.window`, because rows are missing, does not
-    count as still. Raises `EstimationError` if a channel is missing or is not an acceleration.
+    below `detection.threshold`. A span is a run of still samples with a duration of at least `detection.at_least`. A span therefore
+    begins half a window after a motion, and ends half a window before the next motion. A change of the sample rate ends a span.
+    Rows with a missing value are left out. A window that lasts more than 1.5 times `detection.window`, because rows are missing,
+    does not count as still. Raises `EstimationError` if a channel is missing or is not an acceleration.
     """
     limits = _limits(recorded, detection)
     found: list[StillSpan] = []
@@ -100,9 +100,9 @@ def _centred(
     recorded: RecordedSegment, detection: Detection, limits: Array
 ) -> Iterator[tuple[Array, Array, NDArray[np.bool_], int, bool]]:
     """Yields the samples that are centres of windows, in pieces. Each piece consists of times (n,), values (n, k), a mask (n,) of
-    the still samples, the number of samples per window, and whether the sample rate has changed before the piece. Rows with a
-    missing number are left out. A window that lasts more than 1.5 times its nominal length, because rows are missing, does not
-    count as still. `limits`: array of shape (k,), threshold of each channel."""
+    the still samples, the number of samples per window, and a flag that is True if the sample rate has changed before the piece.
+    Rows with a missing number are left out. A window that lasts more than 1.5 times its nominal length, because rows are missing,
+    does not count as still. `limits`: array of shape (k,), threshold of each channel."""
     window = detection.window.value
     times, values = np.empty(0), np.empty((0, len(limits)))
     length, restarted = 0, False
@@ -124,8 +124,8 @@ def _centred(
 
 
 def _at_one_rate(recorded: RecordedSegment, channels: Sequence[str]) -> Iterator[tuple[Array, Array, bool]]:
-    """Yields the complete rows, in pieces with a constant sample rate. Each piece consists of times (n,), values (n, k), and
-    whether the rate has changed before the piece."""
+    """Yields the complete rows, in pieces with a constant sample rate. Each piece consists of times (n,), values (n, k), and a flag
+    that is True if the rate has changed before the piece."""
     divider: SampleRates[np.float64] = SampleRates()
     for block in recorded.blocks(channels):
         own = np.column_stack([block.channels[name] for name in channels])

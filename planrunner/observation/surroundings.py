@@ -79,9 +79,10 @@ def smoothed(time: Array, values: Array) -> Temperature:
 
 
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
-    """Replaces the temperatures of segments at a common constant setpoint by their mean, if the thermometer shows no difference
-    between them (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if the temperature is not
-    constant. `parts`: the samples of each segment, by name of the quantity; they are changed."""
+    """Replaces the temperatures of segments at a common constant setpoint by their mean, if the thermometer shows no significant
+    difference between the segments (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if the
+    temperature is not constant. `parts`: the samples of each segment, by name of the quantity. The temperatures in `parts` are
+    changed in place."""
     from scipy.special import chdtrc
 
     setpoints = [item.segment.temperature if item.segment.ramp_to is None else None for item in recording]
@@ -115,8 +116,7 @@ def changes(recording: Sequence[RecordedSegment], means: Sequence[float]) -> Arr
 
 @dataclass(frozen=True, slots=True)
 class Monitors:
-    """Names the channels that show further states of the sensor besides its motion. A name is None if the state comes from the
-    plan.
+    """Names the channels that record the surroundings of the sensor. A name is None if the values come from the plan.
 
     `thermometer`: channel with the temperature of the sensor. `voltmeter`: channel with the supply voltage of the sensor.
     `barometer`: channel with the ambient pressure. `nominal_supply`: nominal supply voltage, V.

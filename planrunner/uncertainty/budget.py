@@ -72,7 +72,7 @@ def combine(
 
 def merged(influences: Iterable[Influence]) -> tuple[Influence, ...]:
     """Merges influences, so that there is one influence for each input. Sensitivities to the same input, or to the same named part
-    of it, are added; sensitivities to different parts become separate columns. Raises ValueError if the sensitivities of an
+    of an input, are added; sensitivities to different parts become separate columns. Raises ValueError if the sensitivities of an
     influence do not fit its parts."""
     together: dict[tuple[InputQuantity, bool], list[Influence]] = {}
     for item in influences:

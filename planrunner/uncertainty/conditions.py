@@ -1,5 +1,5 @@
-"""Treats stated inputs as conditions of a formula. A method names these inputs as conditions; the influences of the inputs on the
-results are then computed by evaluating the method's formula.
+"""Computes the influences of stated inputs on the results of a formula. A method declares these inputs as the conditions of its
+formula. The influences are then computed by evaluating this formula.
 
 A result must be a pure function of observations and conditions. Each input with a stated uncertainty is a `StatedCondition`. A
 `StatedCondition` contains the input quantity and functions that change the conditions. The formula is evaluated twice: with the

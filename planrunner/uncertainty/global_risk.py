@@ -21,7 +21,7 @@ _REACH = 9.0  # standard deviations of the prior that are integrated over; the r
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Describes what is known of the quantity before the measurement. The distribution of the quantity over the items is normal,
+    """Describes what is known about the quantity before the measurement. The distribution of the quantity over the items is normal,
     with this mean and this standard deviation."""
 
     mean: float

@@ -92,7 +92,7 @@ def propagate(
 
     `tolerances`: array of shape (m,), numerical tolerance of the results of each coefficient, in the unit of the coefficient.
     `heavy`: array of shape (m,), True for coefficients whose standard deviation need not stabilise. `workers`: processes that share
-    the blocks; with the same seed, the digits are the same for any number of workers.
+    the blocks; with the same seed, the results are identical for any number of workers.
     """
     limit = np.asarray(tolerances, dtype=float)
     light = ~np.asarray(heavy, dtype=bool) if len(heavy) else np.ones(len(limit), dtype=bool)
@@ -125,8 +125,8 @@ def _of_averages(found: Sequence[Array]) -> Array:
 
 def _block(draw: Draws, probability: float, seed: int, number: int) -> tuple[Array, Array]:
     """Returns two arrays: the draws (m, BLOCK) of one block; and the mean, the standard deviation and the two ends of the interval
-    of each coefficient (4, m). Only one thread computes, because the last digits of matrix products may depend on the number of
-    threads."""
+    of each coefficient (4, m). The computation uses only one thread, because the last digits of matrix products may depend on the
+    number of threads."""
     from threadpoolctl import threadpool_limits
 
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number,)))
@@ -214,8 +214,8 @@ def _about(centre: Array, parts: Sequence[Draws], rng: np.random.Generator, n: i
 
 
 def t_scale(rng: np.random.Generator, degrees_of_freedom: float, n: int) -> Array:
-    """Returns the factors √(ν/χ²) for n draws, shape (n,), where ν is `degrees_of_freedom`. Multiplied by these factors, normal
-    draws follow Student's t."""
+    """Returns the factors √(ν/χ²) for n draws, shape (n,), where ν is `degrees_of_freedom`. The products of these factors and
+    standard normal draws follow Student's t."""
     return np.asarray(np.sqrt(degrees_of_freedom / rng.chisquare(degrees_of_freedom, n)))
 
 

@@ -24,7 +24,7 @@ from planrunner.uncertainty.influences import Aspect, InputQuantity, Inputs
 
 ARCSEC = unit("arcsec").factor
 TYPICAL_DEVIATION = 5 * ARCSEC
-"""Typical deviation of the vertical. It is some arcseconds in flat country and tens of arcseconds in mountains."""
+"""Typical deviation of the vertical. The deviation is a few arcseconds in flat country, and tens of arcseconds in mountains."""
 
 
 def stated_inputs(bench: Bench, models: BenchModels, mounting: Mapping[str, MountedAxis]) -> Inputs:
@@ -135,8 +135,9 @@ def _chamber(chamber: ChamberModel, source: str, day: str) -> Iterator[InputQuan
 
 
 def _outputs(sensor: SensorModel, source: str, day: str) -> Iterator[InputQuantity]:
-    """Yields the uncertainties of the outputs, in the unit of the output: half a count on either side for the resolution (JCGM
-    100:2008, F.2.2.1), and the coefficient of the bias instability for flicker."""
+    """Yields the uncertainties of the outputs, in the unit of the output. The uncertainty of the resolution is that of a
+    rectangular distribution of half a count on either side (JCGM 100:2008, F.2.2.1). The uncertainty of flicker is the coefficient
+    of the bias instability."""
     for output in sensor.outputs:
         yield InputQuantity(
             Aspect.BIAS_INSTABILITY.of(output.name),
