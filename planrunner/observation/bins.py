@@ -27,7 +27,7 @@ from planrunner.observation.lattice import levels_of, settled
 from planrunner.physics.sampled_motion import period_of, turned_by
 
 BUDGET = 200_000  # largest recording that is used unchanged, in samples, and approximate number of bins of a longer one
-PER_PERIOD = 64  # bins in a turn or a period: enough to describe a signal within a bin by its middle value and its curvature
+PER_PERIOD = 64  # bins in a turn or a period: the middle value and the curvature then describe a signal in a bin
 FEWEST = 64  # bins in a segment
 SPIKE = 6.5  # robust standard deviations: about one normal sample in 10^10
 _PIECE = 1 << 15  # samples taken at once

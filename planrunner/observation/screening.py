@@ -59,7 +59,7 @@ _NEAR_SCALE, _FAR_SCALE = (
     1.50,
 )  # σ per median absolute deviation from them, of white Gaussian noise; checked by a test
 _NEAR_WIDER, _FAR_WIDER = 1.10, 1.02  # standard deviation of an independent sample from such a median, σ
-_LARGE = 6.2  # mean changes: a larger change between neighbours, 7σ in white noise, triggers an examination of the piece
+_LARGE = 6.2  # mean changes: a piece with a larger change between neighbours, 7σ in white noise, is examined
 _APART = 4.7  # mean changes, 5.3σ in white noise: a piece is examined if a sample next to a large change is farther from its median
 _SPARSE, _STRETCH = 16, 64  # of so many stretches of so many samples one shows the noise of a piece, at little cost
 _FEW = 50  # large changes that are looked at one by one
