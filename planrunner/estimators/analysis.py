@@ -62,8 +62,8 @@ def analyse(
     """Makes all estimates of a plan and applies its limits. `notice`: a function that is called with the progress while samples are
     read. `workers`: processes that share the Monte Carlo draws.
 
-    The data never make this function raise an exception: a failure becomes a message under the name of the estimate, or under
-    `limit on …`. Raises `ClusterError` or `ProcessEndedError` if the workers fail.
+    Failures that the data cause do not raise an exception. Such a failure becomes a message under the name of the estimate, or
+    under `limit on …`. Raises `ClusterError` or `ProcessEndedError` if the workers fail.
     """
     looked_at = screened(announced(recording, "screening the samples", notice), sensor)
     recording = [replace(item, finds=one.finds) for item, one in zip(recording, looked_at, strict=True)]
@@ -257,10 +257,10 @@ def _coarse(recorded: RecordedSegment, channel: str, noise: NoiseModel) -> bool:
 
 
 def _carried(segments: Sequence[RecordedSegment], channel: str) -> bool:
-    """Returns True if the rounding errors of a channel with coarse counts seem to be carried over from sample to sample. They then
-    average out: the means of batches scatter less than the samples do. With a count q and white noise σ below q/√12, the ratio of
-    the two variances is below 1/3 in long batches. The ratio is 1 if each sample is rounded by itself. The ratio is averaged over
-    all segments."""
+    """Returns True if the rounding errors of a channel with coarse counts seem to be carried over from sample to sample. Carried
+    rounding errors average out. For this test, the variance of the batch means is divided by the variance that independent samples
+    would cause. The ratio is averaged over all segments. With a count q and white noise σ below q/√12, the ratio is below 1/3 in
+    long batches if errors are carried over. The ratio is 1 if each sample is rounded independently."""
     ratios, freedoms = [], []
     for one in segments:
         if channel not in one.units or not one.statistics.batches > 1 or not _changes(one, channel):
@@ -274,7 +274,7 @@ def _carried(segments: Sequence[RecordedSegment], channel: str) -> bool:
 
 
 _MANY = 8
-"""Degrees of freedom of batch means that show whether rounding errors are carried over."""
+"""Smallest number of degrees of freedom of batch means from which `_carried` can decide."""
 _CARRIED = 0.5
 """Ratio of the variance of batch means to the variance that independent samples would cause, below which rounding errors count as
 carried over."""
@@ -287,8 +287,8 @@ def _changes(recorded: RecordedSegment, channel: str) -> bool:
 
 
 def _constant(segments: Sequence[RecordedSegment], channel: str) -> bool:
-    """Returns True if the samples of a channel are equal within each segment. Tables of means, and segments of one sample, show no
-    samples."""
+    """Returns True if the samples of a channel are equal within each segment. Tables of means and segments with a single sample are
+    not considered."""
     shown = [
         one.statistics
         for one in segments
@@ -300,7 +300,7 @@ def _constant(segments: Sequence[RecordedSegment], channel: str) -> bool:
 def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str]) -> dict[str, float]:
     """Finds the counts of channels, in their units, from the first samples of each segment. Channels whose samples are not
     multiples of a count are left out. Samples that screening excluded are not used. Only segments at rest or at a constant rate are
-    used, because their samples repeat. A segment in which a channel keeps one value shows no count."""
+    used, because their values repeat. A segment in which a channel keeps one value shows no count."""
     taken: dict[str, list[Array]] = {}
     shown = max(_SHOWING // max(len(segments), 1), _LEAST_SHOWING)
     for one in segments:
@@ -320,13 +320,14 @@ def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str
 
 
 _METERED = (DIMENSIONS["voltage"], DIMENSIONS["pressure"])
-"""Quantities of meters, whose readings may keep one value and have uncertainties of their own in the plan."""
+"""Quantities that meters measure. A reading of a meter may keep one value, and the plan states its uncertainty separately."""
 _SHOWING = 4096
 """Number of samples, over all segments, from which the count of a channel is found."""
 _LEAST_SHOWING = 256
 """Number of samples that are taken from each segment at least."""
 _FEWEST = 2
-"""Number of different values from which a count is found: an output that rarely leaves one value has a coarse count."""
+"""Smallest number of different values from which a count is found. Two values are enough, because an output that rarely leaves one
+value has a coarse count."""
 
 
 GAP_INTERVALS = 5.5

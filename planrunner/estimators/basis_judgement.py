@@ -299,8 +299,8 @@ def _named(courses: Sequence[DriftCourse]) -> tuple[str, ...]:
 
 
 def _shares(fit: OutputsFit, shares: NDArray[np.float64]) -> tuple[Said, ...]:
-    """Returns, for each output, a text with the percentage of the scatter that a drift or a nonlinearity explains. `shares`: for
-    each output, this percentage as a fraction of 1."""
+    """Returns, for each output, a text with the percentage of the scatter that a drift or a nonlinearity explains. `shares`: array
+    of shape (m,), the explained fraction of the scatter of each output, from 0 to 1."""
     return tuple(
         said("{share:.3g} % ({output})", share=100 * float(share), output=output)
         for output, share in zip(fit.outputs, shares, strict=True)

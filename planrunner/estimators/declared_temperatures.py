@@ -1,8 +1,8 @@
 """Checks whether a recorded thermometer reads what the bench file and the plan declare: detects wrong units, reversed and unscaled
 readings, and single readings that no temperature can cause.
 
-No estimator can find such a fault in its own data: a temperature coefficient is found from any reading. A sensor may be warmer than
-its surroundings, or kept at one temperature by an oven. Therefore, only these readings contradict the declarations:
+An estimator cannot find such a fault in its own data, because any readings give a temperature coefficient. A sensor may be warmer
+than its surroundings, or kept at one temperature by an oven. Therefore, only these readings contradict the declarations:
 
 - readings outside `POSSIBLE`;
 - readings that differ from the planned temperature by more than `FARTHEST`;
@@ -32,16 +32,18 @@ FARTHEST = 150.0
 """Largest difference, K, between the temperature of a sensor and the planned temperature: an oven of 85 degC in a chamber at -55
 degC makes a difference of 140 K."""
 NEAR = 60.0
-"""Largest difference, K, from the planned temperature at which the readings agree with another unit than the declared one."""
+"""Readings agree with another unit than the declared one if, in the other unit, they differ from the planned temperature by at most
+this value, K."""
 LEAST_CHANGE = 25.0
-"""Smallest change of the planned temperature, K, with which the change of the readings is compared. A smaller change may be hidden
-by the heat of the sensor itself."""
+"""Smallest change of the planned temperature, K, with which the change of the readings is compared. Self-heating of the sensor may
+mask a smaller change."""
 _UNITS = ("degC", "K", "degF")
 
 
 @runtime_checkable
 class NamesThermometer(Protocol):
-    """Keys of an estimator that uses a thermometer. `temperature_channel`: the thermometer; None for the only one that is recorded."""
+    """Keys of an estimator that uses a thermometer. `temperature_channel`: the thermometer; None to use the only recorded
+    thermometer."""
 
     temperature_channel: str | None
 

@@ -2,7 +2,7 @@
 degrees of freedom, influences and Monte Carlo draws.
 
 An estimator gives only the formula and the names of its quantities. The derivatives of the formula are computed automatically
-(`uncertainty.derivatives`), and Monte Carlo draws pass through the same formula.
+(`uncertainty.derivatives`).
 """
 
 from __future__ import annotations
@@ -124,9 +124,9 @@ def derived(
 
     `formula`: a function that converts an array (r, n) of coefficients to an array (q, n) of quantities; its argument contains the
     coefficients of all outputs in sequence. `at`: array of shape (r,), values of the coefficients at which the formula is
-    evaluated. `at` is given if the coefficients of the fits are only small changes of these values. `between`: for each kind of
-    uncertainty, the covariance (r, r) between the coefficients of different fits. Exceptions that the formula raises are not
-    caught.
+    evaluated, by default the fitted coefficients. `at` is given if the coefficients of the fits are only small changes of these
+    values. `between`: for each kind of uncertainty, the covariance (r, r) between the coefficients of different fits. Exceptions
+    that the formula raises are not caught.
     """
     where = np.concatenate([fit.coefficients.ravel() for fit in fits]) if at is None else at
     return Derived(tuple(quantities), formula, *value_and_jacobian(formula, where), fits, between or {})

@@ -47,14 +47,14 @@ LEAST_LEFT = 2
 """A drift function is adopted only if at least this number of degrees of freedom remains, over all outputs together."""
 SUSPECTED = 2 * SIGNIFICANCE
 """A drift that is not adopted is suspected if its p-value is below this value. With this limit, fewer than one in twenty fits of
-two outputs give a false warning; this number covers all tests of a fit together."""
+two outputs give a false warning in any of their tests."""
 FEW = 4
 """If an output has fewer degrees of freedom than this, a drift that changes coefficients can remain unnoticed."""
 DOUBTED = 0.2
 """In a fit with fewer than `FEW` degrees of freedom, a drift that is not adopted is doubted if its p-value, or the p-value of the
 residuals, is below this value. The change that a doubted drift would cause is included in the uncertainty."""
-_SEPARABLE = 1e-3  # of a course, the part that the terms of the model cannot imitate
-_ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are those of computing
+_SEPARABLE = 1e-3  # smallest fraction of a drift function that the terms of the model must not reproduce
+_ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are rounding errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,8 +101,8 @@ class FittedDrift:
     drift explains. `without` and `explained` are None if no drift function was adopted. `suspected`: the suspected drift functions,
     if none was adopted. `rivals`: drift functions that the data show, but that are not adopted because a nonlinearity explains the
     residuals equally well. `nonlinear`: array of shape (m,), the fraction of the sum of squared residuals that the nonlinearity
-    explains. `doubted`: the doubted drift functions; no two of them are proportional to each other. The docstring of
-    the module explains the words suspected and doubted.
+    explains. `doubted`: the doubted drift functions; no two of them are proportional to each other. The module docstring defines
+    the terms suspected and doubted.
     """
 
     courses: tuple[DriftCourse, ...] = ()
@@ -125,7 +125,8 @@ class FittedDrift:
         return tuple(course.per for course in self.courses for _ in course.parts)
 
     def doubts(self, course: DriftCourse) -> bool:
-        """Returns True if the uncertainties include the drift function, or one that is proportional to it, as a drift in doubt."""
+        """Returns True if `doubted` contains the drift function, or a drift function that is proportional to it. The uncertainties
+        then include its effect."""
         return any(_same(one.course, course) for one in self.doubted)
 
 
@@ -214,7 +215,7 @@ def fitted_drift(
 
 def _scattering(plain: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> float:
     """Tests the residuals of all outputs together. Returns the probability that the noise within the segments causes residuals at
-    least as large (F-test). Returns 1 if the noise is unknown, or if the residuals are so large that another warning names them.
+    least as large (F-test). Returns 1 if the noise is unknown, or if the residuals are so large that another warning reports them.
     Unlike the test of one drift function, this test finds a drift of any form."""
     found = _probability_of_residuals(plain, noises)
     return 1.0 if found is None or found < SIGNIFICANCE else found
@@ -229,10 +230,10 @@ def _doubted(
     fits: Fits,
     basis: str,
 ) -> tuple[DoubtedDrift, ...]:
-    """Returns a `DoubtedDrift` if the drift function, which is not fitted, may be real: if the `probability` that chance explains
-    the data is below `DOUBTED`, and a fit with the drift function has fewer than `FEW` degrees of freedom. Otherwise, returns an
-    empty tuple. `plain`: the fits of the outputs without the drift function. `matrix`: array of shape (n, p), the columns of the
-    terms."""
+    """Returns a `DoubtedDrift` if the drift function, which is not fitted, is doubted; otherwise an empty tuple. A drift function
+    is doubted if `probability`, the probability that chance explains the data, is below `DOUBTED`, and a fit with the drift
+    function has fewer than `FEW` degrees of freedom. `plain`: the fits of the outputs without the drift function. `matrix`: array
+    of shape (n, p), the columns of the terms."""
     found = fits(joined(matrix, (course,)))
     if probability >= DOUBTED or found[0].degrees_of_freedom >= FEW:
         return ()

@@ -1,5 +1,5 @@
-"""Checks whether the order of the planned segments makes a drift change the coefficients. Computes how much the uncertainties grow
-if the drift is fitted, and proposes an order that avoids this.
+"""Checks whether a drift would change the coefficients if the segments are recorded in the planned order. Computes how much the
+uncertainties grow if the drift is fitted, and proposes an order that avoids this.
 
 Let A be the weighted design matrix of the terms, and T the weighted columns of the drift. Without the drift, the covariance of the
 coefficients is C = (AᵀA)⁻¹. If the drift is fitted, the covariance increases to C + G·T·(Tᵀ·M·T)⁻¹·Tᵀ·Gᵀ, with G = C·Aᵀ and M = 1 −
@@ -25,11 +25,11 @@ from planrunner.observation.drift import BY_EVIDENCE, ORDERS, WITH_TEMPERATURE, 
 from planrunner.plan.schedule import Segment
 
 COUPLED = 2.0
-"""Growth factor of a standard uncertainty above which planrunner comments on the order of the segments. Above it, the drift
-increases the uncertainty more than a repetition of all segments would reduce it."""
+"""Growth factor of a standard uncertainty above which planrunner comments on the order of the segments. Above this factor, the
+drift increases the uncertainty more than a repetition of all segments would reduce it."""
 _REORDERED = 12  # segments at most, for which another order is proposed
 _ROUNDS = 20  # of exchanges of two segments
-_INSEPARABLE = 1e-3  # of a course, the part that the terms cannot imitate
+_INSEPARABLE = 1e-3  # smallest fraction of a drift function that the terms must not reproduce
 
 
 class FittedWithDrift(Protocol):
@@ -142,7 +142,7 @@ class _Design:
         """Returns the factors (k, p) by which the standard uncertainties grow if the segments are recorded in each of k other
         orders and the drift is fitted. `orders`: array of shape (k, n), for each order, the indices of the rows in the sequence in
         which they are recorded. All rows must have the same dwell."""
-        # The middle of the test and the average of a course stay, so that the courses are those of the places.
+        # The middle of the test and the mean of a drift function do not change, so each place in the sequence keeps its value.
         places = self._courses(self.start, self.seconds)[self.rows[np.argsort(self.start[self.rows])]]
         return _growth(self.matrix, places[np.argsort(orders, axis=1)], self.weights)
 

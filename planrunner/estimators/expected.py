@@ -1,5 +1,5 @@
-"""Computes what a schedule is expected to give, before anything is recorded: the design matrices of segments at rest, the noise of
-the means of these segments, and an expected recording. The segments of the expected recording have the means that a nominal sensor
+"""Computes the expected data of a schedule before anything is recorded: the design matrices of segments at rest, the noise of the
+means of these segments, and an expected recording. The segments of the expected recording have the means that a nominal sensor
 would give, and the declared noise.
 
 From the expected recording, an estimator computes the nominal value of every coefficient of a run
@@ -197,7 +197,7 @@ def _means(
     assumption: Assumption,
 ) -> tuple[Array | float, bool]:
     """Returns the expected means (n,) of an output in the n segments, and True if these means depend only on declared values. The
-    unit of the output shows what it measures."""
+    quantity that the output measures is determined from its unit."""
     try:
         own = unit(output.unit)
     except UnknownUnitError:

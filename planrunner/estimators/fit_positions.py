@@ -42,7 +42,7 @@ class FittedFromPositions(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionsDesign:
-    """A linear model at n segments, planned or recorded. The check and the fit use the same model. `matrix`: array of shape (n, p)
+    """A linear model for n planned or recorded segments. The check and the fit use the same model. `matrix`: array of shape (n, p)
     in SI units. `magnitudes`: array of shape (p,), declared sizes of the columns."""
 
     model: ErrorModel
