@@ -20,7 +20,7 @@ from planrunner.plan.units import unit
 
 _ROUNDING = 1e-9  # relative, of a rate that is the full scale itself
 _AXES = "xyz"
-_FELT = 0.05  # part of the rate below which an output's axis counts as lying across it
+_FELT = 0.05  # fraction of the rate below which an output's axis counts as perpendicular to the rotation axis
 UP = (0.0, 0.0, 1.0)  # about which cycles turn
 
 
@@ -28,8 +28,8 @@ def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], sh
     """Returns an error for each output whose reading at the fastest planned rate exceeds its declared full scale.
 
     `shares`: array of shape (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's
-    axis. An output of specific force is not checked. An output in another unit than a rate is checked only if a scale factor K_… is
-    declared for it.
+    axis. An output of specific force is not checked. An output whose unit is not an angular rate is checked only if a scale factor
+    K_… is declared for it.
     """
     found = []
     rates = np.array([_rate(segment.motion) for segment in request.segments], dtype=float)

@@ -97,9 +97,9 @@ class Estimate:
 
     `data_covariance`: the part of the covariance that is of type A. The analysis keeps this part unchanged when it adds the
     influences. An estimate that uses this one starts from `data_covariance` and propagates the influences (`Influence.through`). An
-    input that acts on both of these estimates is therefore counted only once, with its sign. `expected`: True if the estimate comes
-    from a schedule instead of a recording. `unstated`: how flicker for which the bench file gives no size affects the coefficients;
-    the analysis warns about this flicker.
+    input that acts on both of these estimates is therefore counted only once, with the correct sign. `expected`: True if the
+    estimate comes from a schedule instead of a recording. `unstated`: how flicker for which the bench file gives no size affects
+    the coefficients; the analysis warns about this flicker.
     """
 
     name: str
@@ -220,8 +220,8 @@ class Foresight:
 
     `predicted`: coefficients with nominal values and expected uncertainties. `unpredicted`: coefficients whose uncertainties cannot
     be predicted. Both tuples are empty if the coefficients of a run are not known. `expected`: estimates from the expected
-    observations, one for each set of assumed values. The predictions of other estimates that use this one are based on them.
-    `notes`: remarks about the prediction.
+    observations, one for each set of assumed values. The predictions of other estimates that use this one are based on these
+    estimates. `notes`: remarks about the prediction.
     """
 
     predicted: tuple[Coefficient, ...] = ()

@@ -131,7 +131,7 @@ _SMALL = 64  # rows of a matrix that is inverted as a whole
 
 def _triangles(matrix: Array, observed: Array, weight: Array | None, whitening: Array | None, scale: Array) -> Array:
     """Returns, for each of m outputs, the matrix R of the QR factorisation of the weighted matrix [matrix·scale | observed], shape
-    (m, p + 1, p + 1). With fewer than p + 1 observations, it has as many rows as observations. `whitening`: matrices (m, n, n) that
+    (m, p + 1, p + 1). With fewer than p + 1 observations, R has as many rows as observations. `whitening`: matrices (m, n, n) that
     are used instead of `weight` if observations are correlated."""
     if whitening is None and len(matrix) >= 2 * _CHUNK:
         weights = [None] * len(observed) if weight is None else list(weight)

@@ -45,7 +45,7 @@ from planrunner.plan.meaning import channels_of
 from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence
 
-_ALIKE = 1e-6  # relative: what two assumptions give alike does not rest on what is assumed
+_ALIKE = 1e-6  # relative: results that differ less between two assumptions do not depend on the assumptions
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -16,8 +16,8 @@ from planrunner.estimators.unstated_flicker import CREDIBLE
 from planrunner.uncertainty.decision import coverage_factor
 
 SUFFICIENT = 0.90
-"""Lowest acceptable coverage of a 95 % interval. A comment is made if flicker of the largest possible size would reduce the
-coverage below this value."""
+"""Lowest acceptable coverage of a 95 % interval. An estimate gets a warning if flicker of the largest possible size would reduce
+the coverage below this value."""
 
 
 @dataclass(frozen=True, slots=True)

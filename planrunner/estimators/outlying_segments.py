@@ -27,8 +27,8 @@ from planrunner.observation.observations import SIGNIFICANCE
 LEAST_REDUNDANCY = 0.1
 """An error of a segment is easily visible only if the redundancy of the segment is at least this value. At this redundancy, an
 error must be three times (1/√0.1) as large as in a segment with the redundancy 1 to be equally visible."""
-_MOST = 5  # named of one output: more are no outliers but another model
-_ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are those of computing
+_MOST = 5  # outliers reported for one output; more of them mean that the model is wrong
+_ROUNDING = 1e-10  # of an output's largest fitted value: smaller errors are rounding errors
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ from planrunner.plan.kinds import Choice, key
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 BASES = ("residual", "within_segment")
-_WIDEST = 1e9  # of the largest spread: what exceeds the noise then is not the means' scatter
+_WIDEST = 1e9  # of the largest spread: upper limit of the search for a standard deviation between segments
 
 
 def uncertainty_basis(scatter: str = "segments about the model", within: str = "segments") -> str:
@@ -112,7 +112,8 @@ class OutputsFit:
     @property
     def drift_spreads(self) -> Array:
         """Returns the standard uncertainties of the amplitudes of the fitted drift, shape (m, q). The weights include the noise and
-        all effects. For the basis `residual`, they must be multiplied by the square roots of the variance factors."""
+        all effects. For the basis `residual`, the returned values must be multiplied by the square roots of the variance
+        factors."""
         variances = np.einsum("apap->ap", self.all_cofactors["residual"])
         return np.asarray(np.sqrt(variances[:, self.matrix.shape[1] :]))
 
@@ -385,13 +386,13 @@ class _Weighting:
         return _Fitted(fits, gains, spreads, np.zeros(len(fits)), _factors(self.plain()), whitening)
 
     def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
-        """Returns the degrees of freedom of the mean of the outputs' variance factors. The degrees of freedom are chosen so that a
-        χ² variable has the same mean and variance (Satterthwaite). `correlation`: array of shape (m, m), correlation between the
-        noise of the outputs."""
+        """Returns the degrees of freedom of the mean of the outputs' variance factors. A scaled χ² variable with these degrees of
+        freedom has the same mean and variance as this mean (Satterthwaite). `correlation`: array of shape (m, m), correlation
+        between the noise of the outputs."""
         m, p, n = found.gains.shape
         if found.whitening is None:
             return float((n - p) * m**2 / np.sum(correlation**2))
-        # Residuals of weight one of each output: what two outputs' have in common decides how much the second adds.
+        # Whitened residuals of each output: a correlation between two outputs reduces the degrees of freedom.
         white = found.whitening @ (np.eye(n) - self.matrix @ found.gains)
         noise, moved = white * found.spreads[:, None], white @ self.roots
         joint = correlation[..., None, None] * (noise[:, None] @ noise.swapaxes(1, 2))

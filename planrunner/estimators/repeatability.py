@@ -7,7 +7,7 @@ deviation is given with its degrees of freedom.
 
 The intervals of standard deviations are χ² intervals. The interval for the sum of the variances within and between groups is from
 Graybill and Wang (J. Am. Stat. Assoc. 75, 1980, 869), because the χ² interval with Satterthwaite's degrees of freedom contains the
-true value in only 91 % instead of 95 % of tests of five days.
+true value in only 91 % instead of 95 % of tests that last five days.
 
 There are four warnings. The first is about repeats that scatter more than their own standard uncertainties allow (χ² test). The
 second is about repeats that form different groups although the plan names no groups; the groups are formed by labels, by pauses or
@@ -47,9 +47,9 @@ from planrunner.plan.kinds import CHANNEL, ListOf, MapOf, Record, Text, key
 from planrunner.plan.selection import matches
 
 PROBABILITY = 0.95
-_ORDERED = 8  # repeats from which their order can say anything
+_ORDERED = 8  # fewest repeats whose order is tested
 _NAMED = 4  # groups in a sentence
-_TO_COMPARE = 3  # repeats of a group whose scatter is compared with that of others
+_TO_COMPARE = 3  # fewest repeats of a group whose scatter is compared with other groups
 _PAUSE = 3.0  # times the median pause between repeats, that separates groups
 _LEAST = 4  # repeats in each third
 

@@ -292,9 +292,9 @@ def _common(
         return ()
 
     def answered(moved: Array) -> Array:
-        """Returns, except for a constant, the coefficients that the fit would give if the rates were `moved` (n,), in rad/s. The
-        outputs themselves stay the same. A change of the expected outputs therefore has the same effect on the fit as the opposite
-        change of the recorded outputs."""
+        """Returns, up to an additive constant, the coefficients that the fit would give if the rates were `moved` (n,), in rad/s.
+        The outputs themselves stay the same. A change of the expected outputs therefore has the same effect on the fit as the
+        opposite change of the recorded outputs."""
         return np.asarray(-np.einsum("qmn,mn->q", functionals, coefficients @ line_through(moved)[0].T))
 
     return influences_on(answered, [StatedCondition.single(common, lambda by: rates * (1 + by))])
@@ -320,7 +320,9 @@ def _metrics(
         words = said("{output}: largest residual, divided by the largest output", output=name)
         residual = (np.arange(len(rates)) == worst) - fit.columns[worst] @ fit.all_gains[k]
         noise = fit.spreads[k] ** 2 if basis == "residual" else fit.noises[k].sigma ** 2
-        beside = residual @ (observed - np.diag(noise)) @ residual  # of the effects what is not taken up by the line
+        beside = (
+            residual @ (observed - np.diag(noise)) @ residual
+        )  # the part of the effects that the line does not absorb
         u = math.sqrt(factor * float(noise[worst] + beside)) / full_scale * 1e6
         answers = 1e6 / full_scale * np.sign(one.residuals[worst]) * residual
         maximum = CoefficientRole.MAXIMUM

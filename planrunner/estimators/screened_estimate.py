@@ -2,7 +2,7 @@
 
 The key `outliers` of the plan decides whether the estimate is made without the bad samples, with them, or not at all.
 
-If they are left out, the report states how the estimate would change if they were used.
+If the bad samples are left out, the report states how the estimate would change if they were used.
 """
 
 from __future__ import annotations

@@ -74,9 +74,9 @@ class FlickerEvidence:
         return float(sizes[min(int(np.searchsorted(weights, CREDIBLE * weights[-1])), _ANGLES - 1)])
 
     def _scale(self, whitened: Array) -> float:
-        """Returns the reciprocal of the scale of the prior distribution of B. `whitened`: the whitened flicker. It is used only
-        if the observations are few enough not to be averaged. Otherwise, the flicker of the observations before averaging is used,
-        divided by their standard deviations."""
+        """Returns the reciprocal of the scale of the prior distribution of B. `whitened`: the whitened flicker, which is used only
+        if the observations are not averaged. Otherwise, the flicker of the observations before averaging is used, divided by their
+        standard deviations."""
         if len(self.values) <= _MOST:
             return _spread(whitened)
         return _spread(self.flicker / np.sqrt(self.sigma**2 + np.sum(self.roots**2, axis=1))[:, None])
