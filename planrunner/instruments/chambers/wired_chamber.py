@@ -2,8 +2,8 @@
 bringing the chamber to its safe state.
 
 The commands of each controller are in a separate file, as `AirCommands`; this file does not depend on a manufacturer. In the safe
-state, the chamber holds the ambient temperature. The chamber is not switched off, because at −40 degC, moisture would then condense
-on the sensor.
+state, the chamber holds the ambient temperature. The chamber is not switched off, because moisture could then condense on a cold
+sensor.
 """
 
 from __future__ import annotations

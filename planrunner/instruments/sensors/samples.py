@@ -1,4 +1,5 @@
-"""Contains the decoded frames of a sensor: samples in columns, the counter, the latency that the sensor reports, and doubts."""
+"""Contains the decoded frames of a sensor: samples in columns, the counter, the latency that the sensor reports, and doubts about
+the samples."""
 
 from __future__ import annotations
 

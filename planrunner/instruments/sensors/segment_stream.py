@@ -34,10 +34,10 @@ class Arriving(Protocol):
 class SegmentStream:
     """The stream of one segment. The stream takes `wanted` samples after the time `start` [s by the bench's clock].
 
-    `byte_time`: time per byte on the line, s. `skew`: relative skew of the sensor's clock, as determined from earlier frames.
+    `byte_time`: transmission time of one byte, s. `skew`: relative skew of the sensor's clock, as determined from earlier frames.
     `haste`: seconds of the bench's clock per second of real time. `over`: True after all samples have been returned. `heard`:
-    number of good frames in the last call of `advance`. `fresh`: number of good frames whose counter is later than the counters of
-    all earlier frames.
+    number of valid frames in the last call of `advance`. `fresh`: number of these frames whose counter is later than the counters
+    of all earlier frames.
     """
 
     def __init__(

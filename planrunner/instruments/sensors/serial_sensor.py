@@ -34,15 +34,15 @@ TOLERANCE = math.log(1.4)
 ENOUGH = 20
 """Minimum number of frames for a check of the rate."""
 BACKLOG = 0.1
-"""Time during which frames from buffers may arrive, s."""
+"""Time after the first bytes during which frames that waited in buffers may arrive, s."""
 
 
 class FirstFrames:
-    """Contains the first frames after connecting, and what they show.
+    """Collects and checks the first frames after connecting.
 
-    `seconds`: time between the first and the last good frame; frames that waited in buffers do not count. `heard`: time of the last
-    good frame. `haste`: seconds of the bench's clock per second of real time. `haste` is necessary because buffers are filled and
-    read in real time.
+    `seconds`: time between the first and the last valid frame; frames that waited in buffers do not count. `heard`: time of the
+    last valid frame. `haste`: seconds of the bench's clock per second of real time. `haste` is necessary because buffers are filled
+    and read in real time.
     """
 
     def __init__(self, decoder: Decoder, rate: float, haste: float = 1.0):
@@ -285,9 +285,9 @@ class SerialSensor(Generic[P]):
             self._heard = self.clock.now()
 
     def _listen(self) -> None:
-        """Waits for good frames that arrive at the declared rate. If there are none, raises `InstrumentError` with a description of
-        what was received. A different rate is reported only if it is found repeatedly, because frames that waited during a pause of
-        the computer arrive together."""
+        """Waits for valid frames that arrive at the declared rate. If there are none, raises `InstrumentError` with a description
+        of what was received. A different rate is reported only if it is found repeatedly, because frames that waited during a pause
+        of the computer arrive together."""
         self.link.ring.follow(True)
         try:
             for left in reversed(range(LISTENINGS)):

@@ -1,9 +1,9 @@
 """Drives the STIM300 (Safran TS1524). The sensor sends the data of its gyros, accelerometers and inclinometers in datagrams of
 normal mode.
 
-A datagram begins with its identifier. For each cluster, three axes of 24 bits and a status byte follow; then the temperatures of
-the clusters, PPS or AUX, a counter of internal samples at 2000 Hz, and the latency in µs. The datagram ends with a CRC-32 over all
-of these bytes, padded with zeros to whole words.
+A datagram begins with its identifier. For each cluster, the values of three axes, with 24 bits each, and a status byte follow. The
+next fields are the temperatures of the clusters, the PPS or AUX input, a counter of internal samples at 2000 Hz, and the latency in
+µs. The datagram ends with a CRC-32. The CRC covers all of these bytes, padded with zeros to whole words.
 """
 
 from __future__ import annotations

@@ -208,8 +208,8 @@ class AcutrolCommands(LinkedCommands):
         self._enter("synt", sines, *enter, _oscillation(sines))
 
     def _enter(self, mode: str, axes: Iterable[int], *commands: str) -> None:
-        """Changes the operating mode of axes. During the change, the stored mode is unknown, also for queries from another
-        thread."""
+        """Changes the operating mode of axes. During the change, no mode is stored for these axes, so that a query from another
+        thread does not report a wrong mode."""
         for axis in axes:
             self._modes.pop(axis, None)
         self._do(*commands)

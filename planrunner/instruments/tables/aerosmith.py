@@ -2,7 +2,7 @@
 
 The only sources of this driver are open-source drivers. A command consists of a mnemonic and a number; the reply consists of a line
 and a prompt. The controller replies to commands for jogging and rocking only when the motion ends; this driver does not wait for
-that reply. The open-source drivers mention no limit that stops the table.
+that reply. The open-source drivers do not mention limits at which the table stops by itself.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Defines the operations that the commands of a table controller provide; each driver of a real table implements them."""
+"""Defines the operations of a table controller. Each driver of a real table implements these operations with commands of its
+controller."""
 
 from __future__ import annotations
 

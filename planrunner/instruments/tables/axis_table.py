@@ -1,8 +1,8 @@
-"""Contains the functions that all real tables share: converting attitudes to axis positions, spins, rocking, cycles, detecting that
-a state is held, and the safe state.
+"""Contains the functions that all real tables share: converting attitudes to axis positions, performing spins, rocking and cycles,
+checking whether a state has been reached, and bringing the table to its safe state.
 
 The commands of each controller are in a separate file, as `AxisCommands`; this file does not depend on a manufacturer. Whether a
-state has been reached is decided from measurements of the controller, never from elapsed time.
+state has been reached is decided from the controller's measurements, never from the elapsed time.
 """
 
 from __future__ import annotations
@@ -153,8 +153,8 @@ class AxisTable(Commanded[AxisCommands]):
         return Condition(errors if self._reached is self._aim else {}, faults)
 
     def _observed(self) -> tuple[tuple[str, ...], dict[str, float]]:
-        """Returns the faults of the table, and the largest deviations of the axes from their last commands [rad, rad/s]. There are
-        no deviations if the commands changed during the query."""
+        """Returns the faults of the table, and the largest deviations of the axes from their last commands [rad, rad/s]. Returns no
+        deviations if the commands changed during the query."""
         self._timed.looked_at()
         aim, rocking = self._aim, self._rocking  # another thread may be changing them
         faults = [*self.commands.faults(), *([self._timed.broken] if self._timed.broken else [])]

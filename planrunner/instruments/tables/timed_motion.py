@@ -94,9 +94,9 @@ class Turn:
 
 
 def turns_of(motion: Cycle, acceleration: float) -> Iterator[Turn]:
-    """Yields the turns of a cycle, repeated endlessly, each after a stop. `acceleration`: acceleration of the axis, rad/s^2. The
-    angle of a turn is the area under its rate, which is a trapezoid or a triangle. With equal ramps, this area is the rate
-    multiplied by the time from the start of the turn until the axis brakes."""
+    """Yields the turns of a cycle, which is repeated endlessly. Each turn follows a stop. `acceleration`: acceleration of the axis,
+    rad/s^2. The angle of a turn is the area under its rate, which is a trapezoid or a triangle. With equal ramps, this area is the
+    rate multiplied by the time from the start of the turn until the axis brakes."""
     now = target = 0.0
     for move in again(motion.moves):
         begins = now + motion.stop

@@ -1,4 +1,4 @@
-"""Defines codes for kinds of checksums, rules of framing and kinds of numbers, which compiled kernels use."""
+"""Defines the codes that compiled kernels use for kinds of checksums, rules of framing and kinds of numbers."""
 
 from __future__ import annotations
 

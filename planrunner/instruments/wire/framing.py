@@ -1,8 +1,9 @@
-"""Finds frames in a stream of bytes by their sync, length and checksum. Bytes that are not part of a frame are skipped and counted.
+"""Finds frames in a stream of bytes by their sync bytes, length and checksum. Bytes that are not part of a frame are skipped and
+counted.
 
 A frame is valid if its checksum is correct. If the checksum of a frame is wrong, or if no frame is found where one is expected, a
 corrupt frame is counted. The search then continues one byte later, so that a frame after a false sync is never skipped. Between two
-calls, fewer bytes are kept than the longest frame has.
+calls, only an incomplete frame is kept, which is shorter than the longest frame.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ class Framing:
     the byte at offset 3 or, if this byte is FF, in the next two bytes. LINE means that a frame ends with a line feed. With the
     rules XBUS and LINE, frames have at most `longest` bytes. `trailer`: bytes that may follow a frame. The checksum covers the
     frame from the byte `covered_from` up to the checksum, followed by `padding` zero bytes. The checksum is in the last
-    `check_bytes` bytes of the frame, low byte first if `little` is True. In a LINE, the checksum covers the text between `$` and
-    `*`, and is written after `*` as two hexadecimal digits.
+    `check_bytes` bytes of the frame, low byte first if `little` is True. With the rule LINE, the checksum covers the text between
+    `$` and `*`, and is written after `*` as two hexadecimal digits.
     """
 
     sync: bytes
@@ -45,7 +46,7 @@ class Framing:
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes that arrived together. `received`: time at which reading them ended, s by the bench's clock."""
+    """Bytes that arrived together. `received`: time at which the read operation ended, in s, by the bench's clock."""
 
     received: float
     data: bytes
@@ -53,9 +54,9 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """The good frames in `data`. `starts`, `lengths`: arrays of shape (n,), start and length of each frame. `received`: array of
-    shape (n,) in s. `received` is the time at which the last byte of each frame was read, minus the time that the frame takes on
-    the line."""
+    """The valid frames in `data`. `starts`, `lengths`: arrays of shape (n,), start and length of each frame. `received`: array of
+    shape (n,) in s. `received` is the time at which the last byte of each frame was read, minus the transmission time of the
+    frame."""
 
     data: Bytes
     starts: NDArray[np.int64]
@@ -74,8 +75,8 @@ class Frames:
 class Framer:
     """Takes pieces of a stream and returns the frames that they complete.
 
-    `byte_time`: time that a byte takes on the line, s. `good`, `corrupt`: number of good and of corrupt frames. `skipped`: number
-    of bytes outside frames. `length`: mean number of bytes per frame in the last call that found frames.
+    `byte_time`: transmission time of one byte, s. `good`, `corrupt`: numbers of valid and of corrupt frames. `skipped`: number of
+    bytes outside frames. `length`: mean number of bytes per frame in the last call that found frames.
     """
 
     framing: Framing

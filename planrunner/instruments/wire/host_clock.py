@@ -1,10 +1,11 @@
 """Computes the times of samples from the counter of a sensor, and from the times at which the computer read its frames.
 
-A frame cannot be read early, but buffers and the operating system can delay the reading. Let the times of reading be plotted over
-the counter. A line relates the counter to the computer's clock. It is the highest line below all points, which is an edge of their
-lower convex hull (Moon, Skelly and Towsley, Estimation and removal of clock skew from network delay measurements, INFOCOM 1999;
-Zhang, Liu and Xia, Clock synchronization algorithms for network measurements, INFOCOM 2002). A constant delay cannot be found in
-this way. Therefore the transmission time, and the latency that the sensor reports, are subtracted first."""
+A frame cannot be read early, but buffers and the operating system can delay the reading. Each reading is a point in a diagram of
+the time of reading against the counter. The line that relates the counter to the computer's clock is the highest line below all
+points. It contains an edge of the lower convex hull of the points (Moon, Skelly and Towsley, Estimation and removal of clock skew
+from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network measurements,
+INFOCOM 2002). This method cannot find a constant delay. Therefore the transmission time, and the latency that the sensor reports,
+are subtracted first."""
 
 from __future__ import annotations
 
@@ -24,24 +25,26 @@ Whole = NDArray[np.int64]
 WINDOW = 1.0
 """Length of a window, s. From each window, the reading with the smallest delay is kept."""
 MEMORY = 600
-"""Number of stored windows. Over some minutes, a crystal clock is linear."""
+"""Number of stored windows. Over their total duration of some minutes, the rate of a crystal oscillator is nearly constant."""
 SKEW_AFTER = 20.0
 """Minimum duration of the readings for an estimate of the clock skew, s."""
 SLEW = 0.01
-"""Largest change of the line that time stamps follow, as a fraction of the elapsed time."""
+"""When the estimated line changes, the time stamps approach the new line gradually. Their rate differs from the rate of the line by
+at most this fraction."""
 PATIENCE = 0.5
-"""After an interruption, readings over this time [s] show whether the computer slept or frames were lost."""
+"""Duration [s] of the readings after an interruption that are used to decide whether the computer slept or frames were lost."""
 BACKWARDS = 16
-"""Number of frames by which a counter may step back if frames arrive out of order; at most an eighth of its range."""
+"""Largest number of frames by which a counter may step back if frames arrive out of order. The step is also limited to an eighth of
+the counter's range."""
 FORESTALLED = 1.0
 """If a frame appears to have been read more than this time [s] before it was sent, its counter was reset."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameCounter:
-    """Describes the counter of a sensor: a count lasts `tick` seconds, a frame takes `step` counts, and the counter restarts at
-    `modulus`. For a sensor without a counter, the modulus is 1; in this case, lost frames are detected only if they interrupt the
-    stream."""
+    """Describes the counter of a sensor: one count lasts `tick` seconds, the counts of successive frames differ by `step`, and the
+    counter restarts at `modulus`. For a sensor without a counter, the modulus is 1; in this case, lost frames are detected only if
+    they interrupt the stream."""
 
     tick: float
     step: float = 1.0
@@ -55,27 +58,27 @@ class FrameCounter:
 
 @dataclass
 class Unwrapping:
-    """Extends a counter beyond its modulus, even if complete periods of the counter were lost during a silence.
+    """Extends a counter beyond its modulus, even if it has completed one or more periods during a pause in the data.
 
-    After a silence, it may be unclear whether one more period of the counter has passed. There are two possibilities: the computer
-    slept, and the delays of reading become as small as before; or frames were lost, and the delays remain larger. `PATIENCE`
-    seconds of readings decide between them.
+    After a pause, it may be unclear whether the counter has completed one more period. There are two possibilities. If the computer
+    slept, the delays of reading become as small as before. If frames were lost, the delays remain larger. Readings over `PATIENCE`
+    seconds decide between these possibilities.
     """
 
     counter: FrameCounter
     haste: float = 1.0
-    """Seconds of the readings' clock per second of real time. The ratio differs from 1 for an accelerated simulated sensor. Delays
-    of the computer always follow real time."""
+    """Rate of the clock that gives the times of reading, in seconds per second of real time. The rate differs from 1 for an
+    accelerated simulated sensor. Delays that the computer causes always occur in real time."""
     _raw: int = 0
     _index: int = 0
     _received: float = math.nan
     _floor: float = math.nan
 
     def resolve(self, received: Array, raw: Whole, final: bool = False) -> Whole:
-        """Returns the indices of frames, which are counts since the first frame. The result covers the first of the given frames,
-        up to the last one whose index is certain, or all frames if `final` is True. Frames whose index is not returned must be
-        passed again, together with the frames that follow. `received`: array of shape (n,), times of reading, s. `raw`: array of
-        shape (n,), values of the counter. Raises `InstrumentError` if the counter was reset."""
+        """Returns the indices of frames, which are counts since the first frame. The result covers the given frames up to the last
+        frame whose index is certain, or all frames if `final` is True. The caller must pass the remaining frames again, together
+        with the frames that follow. `received`: array of shape (n,), times of reading, s. `raw`: array of shape (n,), values of the
+        counter. Raises `InstrumentError` if the counter was reset."""
         if received.size == 0:
             return np.empty(0, np.int64)
         if math.isnan(self._received):
@@ -107,8 +110,8 @@ class Unwrapping:
         return index[:ready]
 
     def _refuse_jumps(self, delay: Array) -> None:
-        """Raises `InstrumentError` if the counter has jumped ahead, so that frames would have a time later than the moment at which
-        they were read. `delay`: delays of reading, s, relative to a common constant."""
+        """Raises `InstrumentError` if the counter has jumped ahead, so that frames would have been measured after they were read.
+        `delay`: delays of reading, s, relative to a common constant."""
         least, usual = float(np.min(delay)), float(delay[0]) if math.isnan(self._floor) else self._floor
         if least < usual - FORESTALLED * self.haste:
             message = f"the sensor's counter is {usual - least:.3g} s ahead of the received frames"

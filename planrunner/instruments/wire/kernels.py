@@ -43,7 +43,7 @@ def _mirrored(number, bits):  # type: ignore[no-untyped-def]
 
 @compiled()
 def _word(data, place, little):  # type: ignore[no-untyped-def]
-    """Returns four bytes, combined to a number. `place`: index of the first byte. The type of `place` must be unsigned, so that
+    """Returns four bytes, combined into one number. `place`: index of the first byte. The type of `place` must be unsigned, so that
     numba need not check for a negative index."""
     first, second = np.uint32(data[place]), np.uint32(data[place + np.uintp(1)])
     third, fourth = np.uint32(data[place + np.uintp(2)]), np.uint32(data[place + np.uintp(3)])
@@ -155,9 +155,9 @@ def _line(data, place, longest, usual):  # type: ignore[no-untyped-def]
     """Returns the length in bytes of the line that begins at `place`, as in `_length`, and the exclusive-or of all its bytes except
     the first. `usual`: length of the previous line; 0 if unknown.
 
-    Lines usually have the same length as the previous line. First, a loop with a known end checks whether this is so, because such
-    a loop can process many bytes at once. Otherwise, the end of the line is searched for, four bytes at a time, and the same loop
-    is executed again.
+    Lines usually have the same length as the previous line. First, a loop with a known end checks whether the lengths are equal,
+    because such a loop can process many bytes at once. Otherwise, the end of the line is searched for, four bytes at a time, and
+    the same loop is executed again.
     """
     start, stop = np.uintp(place + 1), np.uintp(min(place + longest, data.size))
     end, feed = start, np.uint8(LINE_FEED)
@@ -232,7 +232,7 @@ def _holds(data, place, length, check, kind, width, tables, initial, reflected, 
 
 @compiled()
 def find(data, sync, trailer, shape, check, positions, base, kind, width, tables, initial, reflected, final):  # type: ignore[no-untyped-def]
-    """Finds frames. Returns the starts and lengths of the good frames, the start of the remaining bytes, the place in these bytes
+    """Finds frames. Returns the starts and lengths of the valid frames, the start of the remaining bytes, the place in these bytes
     at which the next frame is expected (-1: unknown), the number of corrupt frames, and the number of skipped bytes. `positions`,
     `base`: table and constant for a CRC over frames of equal length (`Checksum.by_position`); otherwise an array of the shape (0,
     256), and 0."""
@@ -301,7 +301,7 @@ def alike(data, starts, places):  # type: ignore[no-untyped-def]
     return found
 
 
-# An unsigned index spares numba the question whether it counts from the end: twice as fast.
+# With an unsigned index, numba need not check whether the index counts from the end. This is twice as fast.
 @compiled()
 def _bits(data, place, width, little):  # type: ignore[no-untyped-def]
     step = -1 if little else 1

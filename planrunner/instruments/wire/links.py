@@ -1,8 +1,8 @@
 """Exchanges requests and replies with a message-based instrument over GPIB, USB, TCP or a serial line, by means of PyVISA.
 
-Each resource has only one exchange at a time. A link that failed is closed before it is used again, and unread data are discarded
-before each request. A late reply is therefore never mistaken for the reply to the next request. No operation waits longer than its
-time-out. PyVISA is imported when the first link is opened; `PYVISA_LIBRARY` chooses its backend, as in any other program.
+Each resource has only one exchange at a time. After a failure, a link is closed and opened again. Unread data are discarded before
+each request. A late reply is therefore never mistaken for the reply to the next request. No operation waits longer than its
+time-out. PyVISA is imported when the first link is opened; The environment variable `PYVISA_LIBRARY` selects its backend.
 
 This module also declares the keys in the bench file for the connection and the identification of such an instrument, and the base
 classes of instruments and drivers that use the commands of a controller.
@@ -54,7 +54,7 @@ class AnswerFraming(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class LineAnswers:
-    """Defines the framing in which every answer is one line."""
+    """The framing in which every answer is one line. `end`: terminator of the line."""
 
     end: bytes = b"\n"
 
@@ -170,7 +170,7 @@ class MessageLink:
         self._remarks: deque[str] = deque(maxlen=MOST_REMARKS)
 
     def write(self, *texts: str) -> None:
-        """Sends messages that have no reply. A message is not repeated, because nobody knows which part of the message has
+        """Sends messages that have no reply. A message is not repeated, because it is unknown which part of the message has
         arrived."""
         with self._held(f"'{texts[-1]}'"):
             self._once(texts, None)
@@ -203,8 +203,8 @@ class MessageLink:
         return told
 
     def doubt(self) -> None:
-        """Restarts the link as after a failure. The method must be called if the received data are not the reply to the request,
-        because the true reply may still arrive."""
+        """Closes the link, as after a failure; the next request opens it again. Call this method if the received data are not the
+        reply to the request, because the true reply may still arrive."""
         with self._lock:
             self._give_up()
 
@@ -307,8 +307,8 @@ class MessageLink:
             raise LinkFailure(f"sends data without a request ({shown(rests[:40])}…): {_GARBAGE}")
 
     def _await_silence(self, resource: Wire) -> None:
-        """Waits until a serial line is silent for the length of a time-out. The wait is necessary after a failure, because late
-        data may still arrive."""
+        """Waits until a serial line has been silent for one time-out, but not longer than three time-outs. After a failure, this is
+        necessary because late data may still arrive."""
         if not self.settings.address.startswith("ASRL"):
             return
         end = time.monotonic() + 3 * self.settings.timeout
@@ -353,13 +353,13 @@ def shown(data: bytes | bytearray) -> str:
 
 
 def _wait_at_most(resource: Wire, seconds: float) -> None:
-    """Sets the time-out of the next read to `seconds` if it is not already set."""
+    """Sets the time-out of the next read to `seconds`, unless it already has this value."""
     if abs(resource.timeout - seconds * 1000) > 0.5:
         resource.timeout = seconds * 1000
 
 
 def _marks_ends(address: str) -> bool:
-    """Returns True if the bus marks the end of a message; this is not so for a TCP stream and a serial line."""
+    """Returns True if the bus marks the end of a message. A TCP stream and a serial line do not."""
     upper = address.upper()
     return not (upper.startswith("ASRL") or upper.endswith("::SOCKET"))
 
@@ -494,8 +494,8 @@ class CommandedDriver(Generic[K, C]):
     @classmethod
     def identified(cls, parameters: K) -> C:
         """Returns the commands of an instrument after its controller has identified itself. If the controller does not identify
-        itself, the link is released. A fault of the instrument is no obstacle, because an instrument with a fault can still be made
-        safe."""
+        itself, the link is released. A fault that the instrument reports does not prevent the connection, because an instrument
+        with a fault can still be made safe."""
         commands = cls.commands_of(parameters)
         try:
             commands.identify()

@@ -1,5 +1,5 @@
-"""Converts texts in replies to numbers, and numbers to texts in commands. A reply without a number causes an error that explains
-the problem."""
+"""Converts texts in replies to numbers, and numbers to texts in commands. A reply that does not contain the expected numbers raises
+`InstrumentError`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 def numbers(link: MessageLink, request: str, count: int, framing: AnswerFraming | None = None) -> list[float]:
     """Returns the numbers in the answer to a request, which are separated by commas or semicolons. Raises `InstrumentError` if
-    there are too few numbers or if one is not finite. After this error, data that still arrive are discarded. Otherwise, they would
-    be mistaken for the answer to the next request."""
+    there are too few numbers, or if a number is not finite. After this error, the link discards data that still arrive, so that
+    they are not mistaken for the answer to the next request."""
     reply = link.query(request, framing=framing)
     try:
         return parsed(reply, request, count, link.settings.address)
@@ -29,7 +29,7 @@ def number(link: MessageLink, request: str, framing: AnswerFraming | None = None
 
 
 def parsed(reply: str, request: str, count: int, address: str) -> list[float]:
-    """Returns the first `count` numbers in a reply. Raises `InstrumentError` if there are fewer numbers, or if one is not
+    """Returns the first `count` numbers in a reply. Raises `InstrumentError` if there are fewer numbers, or if a number is not
     finite."""
     parts = [part.strip() for part in re.split(r"[,;]", reply)[:count]]
     found = [float(part) for part in parts if NUMBER.fullmatch(part)]

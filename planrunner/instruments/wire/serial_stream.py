@@ -19,10 +19,10 @@ from planrunner.instruments.wire.framing import Piece
 CAPACITY = 8 * 2**20
 """Size of the buffer in bytes. It can store the data of the fastest sensor for one minute."""
 NEWEST = 2**16
-"""Number of bytes that are kept if nobody reads the buffer."""
+"""Number of bytes that are kept while the buffer has no consumer."""
 PAUSE = 0.004
-"""Time between two reads, s. The time is long enough to need little computing time. It is short compared with the time in which the
-buffer of the operating system fills up (22 ms for 4 kB at 1.8 Mbit/s)."""
+"""Time between two reads, s. Reading at this interval needs little computing time. The interval is short compared with the time in
+which the buffer of the operating system fills up (22 ms for 4 kB at 1.8 Mbit/s)."""
 TIMEOUT = 0.05
 MOST = 2**16
 
