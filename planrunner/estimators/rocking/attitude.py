@@ -1,5 +1,5 @@
-"""Computes attitudes and tilts of a stabilised element. The module computes the tilt that gravity shows, and the motion of an
-inertially fixed element relative to the rotating Earth.
+"""Computes attitudes and tilts of a stabilised element. The module computes the tilt from the direction of gravity, and the motion
+of an inertially fixed element relative to the rotating Earth.
 
 All matrices transform vector components to another frame (v_element = C @ v_site, where the site axes are East-North-Up). R_k(a) is
 the rotation of a frame by `a` about its axis k: R_z(a) = [[cos a, sin a, 0], [−sin a, cos a, 0], [0, 0, 1]]. Angles are in rad.
@@ -15,7 +15,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
 UP = np.array([0.0, 0.0, 1.0])
-UPRIGHT = 1e-6  # by which an axis may stand off the vertical and still count as vertical
+UPRIGHT = 1e-6  # largest difference between 1 and the cosine for which an axis counts as vertical
 # The axis whose tilt is an arc sine, by the axis that is vertical: R_x·R_z·R_y with y up, R_z·R_y·R_x with x up, R_x·R_y·R_z with z up.
 _SINE = {"xzy": (1, 2, 1), "zxy": (2, 0, 0)}
 

@@ -23,7 +23,7 @@ LEAST_RELEASE = 60.0  # s
 LEAST_WINDOW = 2.0  # s
 LONGEST_ROCKING = 480.0  # s
 LARGEST_PHASE = math.radians(45)
-PASSED = 0.01  # of the rocking's acceleration, through the filter
+PASSED = 0.01  # largest fraction of the rocking acceleration that may pass the filter
 ARCSEC = math.radians(1 / 3600)
 SMALL = 1e-6
 
@@ -68,8 +68,8 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
 
 
 def _release_time(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run]) -> list[Remark]:
-    """Checks that the time since the release of the element is known. If the azimuth is a nominal one, this time is needed, because
-    the Earth turns relative to the element after the release."""
+    """Checks that the time since the release of the element is known. With `azimuth: nominal`, this time is needed, because the
+    Earth turns relative to the element after the release."""
     parameters = request.parameters
     if parameters.azimuth != "nominal":
         return []

@@ -1,8 +1,8 @@
 """Computes the drift of one run between its two windows: once from the direction of gravity that the accelerometers show, and once
 from gimbal and ring angles.
 
-The drift is the rotation of the element relative to inertial space. An element that is fixed in inertial space seems to tilt by
-C(t0)·R(Ω_ie·t); this tilt is subtracted.
+The drift is the rotation of the element relative to inertial space. The attitude of an element that is fixed in inertial space
+changes relative to the Earth as C(t0)·R(Ω_ie·t). The tilt that this change causes is subtracted.
 """
 
 from __future__ import annotations

@@ -56,8 +56,9 @@ class StateDrifts:
         """Returns the covariance of the mean rocking drift, shape (k, k), and the degrees of freedom of this covariance.
 
         With several quadruples, the covariance comes from their scatter. With a single quadruple, it comes from the difference
-        between the two dynamic runs and the difference between the two static runs. In this case, one degree of freedom is used:
-        Welch's formula gives between one and two, because it is not known which of the two pairs scatters more.
+        between the two dynamic runs and the difference between the two static runs. In this case, one degree of freedom is used.
+        Welch's formula would give between one and two degrees of freedom, but it requires the true variances of both pairs, which
+        are not known.
         """
         count = len(self.quadruples)
         if self.expected is not None:

@@ -23,9 +23,9 @@ from planrunner.estimators.interface import EstimationError, UnfitDataError
 from planrunner.plan.units import UnknownUnitError, unit
 
 ORDER = 4
-REACH = 3.0  # filter lengths 1/cutoff on either side of a window: what lies beyond counts for less than 1e-5
-SAMPLES = 4  # a period of the cutoff, at least
-LONGEST_GAP = 0.5  # s, filled on a straight line
+REACH = 3.0  # filter lengths 1/cutoff on either side of a window: weights beyond are below 1e-5
+SAMPLES = 4  # fewest samples in a period of the cutoff frequency
+LONGEST_GAP = 0.5  # s, longest gap that is filled by linear interpolation
 
 
 @dataclass(frozen=True, slots=True)

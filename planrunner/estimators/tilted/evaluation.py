@@ -1,6 +1,6 @@
 """Computes scale factors of tilted axes from means of segments. In each repeat, the output at rest F_r is subtracted from the
-output F_j at each rate j, and the difference is divided by the input of each axis. The results are then averaged over repeats and
-compared between temperatures.
+output F_j at each rate j. A straight line is fitted to these differences as a function of the input of each axis. The results are
+then averaged over repeats and compared between temperatures.
 
 The core of the module is one function of the recorded means and of the conditions of the recording. Uncertainties are derived from
 this function.
@@ -54,11 +54,11 @@ class Group:
     """Contains the data of n rates at one temperature; each rate is repeated q times. The recording has N segments and m axes.
 
     `kelvin`: measured or planned temperature, K; NaN if neither is known. `spins`: array of shape (q, n), index of the segment of
-    each repeat and rate. `rest`: array of shape (q, N), one row of weights for each repeat. The sum of the segment means with these
-    weights is the output at rest in this repeat: the mean of the average zero before the rates and the average zero after the
-    rates. `between`: array of shape (q, N), further weights. The sum of the segment means with these weights is the zero after the
-    rates minus the zero before the rates. `outputs`: array of shape (q, n, m), the output at each rate minus the output at rest,
-    F_j − F_r. `drift`: array of shape (q, m), the zero after the rates minus the zero before the rates.
+    each repeat and rate. `rest`: array of shape (q, N), one row of weights for each repeat. The weighted sum of the segment means
+    is the output at rest in this repeat, which is the mean of the average zeros before and after the rates. `between`: array of
+    shape (q, N), weights with which the weighted sum of the segment means is the zero after the rates minus the zero before the
+    rates. `outputs`: array of shape (q, n, m), the output at each rate minus the output at rest, F_j − F_r. `drift`: array of shape
+    (q, m), the zero after the rates minus the zero before the rates.
     """
 
     label: str
@@ -118,7 +118,7 @@ class TiltedResults:
 
 @dataclass(frozen=True, slots=True)
 class Worst:
-    """States which rates and temperatures determine the largest values of each axis.
+    """States which rates determine the nonlinearity, and which temperatures determine the sensitivity, of each axis.
 
     `rate`: array of shape (g, m), index of the rate with the largest residual at each temperature. `sign`: array of shape (g, m),
     sign of this residual. `temperature`: array of shape (m,), index of the temperature that determines the sensitivity.
@@ -156,8 +156,8 @@ def evaluate(
     groups: Sequence[Group], conditions: TiltedConditions, reference: int, worst: Worst | None = None
 ) -> TiltedResults:
     """Computes all results of an evaluation. `reference`: index of the group whose scale factor K is the reference for the other
-    groups. `worst`: the rates and temperatures that determine the largest values. `worst` is given if the evaluation is repeated
-    with changed conditions, so that the same rates and temperatures are used."""
+    groups. `worst`: the rates and temperatures that determine nonlinearity and sensitivity, by default found from the data. `worst`
+    is given if the evaluation is repeated with changed conditions, so that the same rates and temperatures are used."""
     lines = [fit_lines(conditions.inputs(group), group.outputs) for group in groups]
     residuals = [line.residuals.mean(axis=0) for line in lines]
     held = worst or _worst(residuals, np.zeros(lines[0].slope.shape[1], dtype=np.int64))

@@ -196,9 +196,9 @@ def _flicker(situation: Situation, flicker: Sequence[CorrelatedError], basis: st
 def unstated_influences(
     situation: Situation, silent: Sequence[CorrelatedError], basis: str
 ) -> Iterator[tuple[CorrelatedError, Influence]]:
-    """Computes how flicker of unknown size influences `TiltedResults.vector`. Each influence is returned together with this
-    flicker. If `basis` is `repeats`, an influence contains only the part that all repeats have in common. The scatter of the
-    repeats shows the other part."""
+    """Computes how flicker of unknown size influences `TiltedResults.vector`. Yields each flicker together with its influence. If
+    `basis` is `repeats`, an influence contains only the part that all repeats have in common. The scatter of the repeats shows the
+    other part."""
     for error in silent:
         if basis == "repeats":
             pairs = zip(situation.groups, situation.answers, strict=True)

@@ -20,8 +20,8 @@ from planrunner.estimators.interface import EstimationError
 from planrunner.plan.model import MountedAxis
 from planrunner.plan.schedule import Segment, Spin
 
-BLIND = 1e-3  # cosine (89.94 deg) below which an axis sees nothing of the rotation that could be told from its mounting
-ALONG = 1e-5  # rad by which the fixture's z axis may stand off the rotation axis, as planned
+BLIND = 1e-3  # cosine (89.94 deg) below which a response cannot be distinguished from an error of the mounting
+ALONG = 1e-5  # rad, largest planned angle between the fixture's z axis and the rotation axis
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,8 +37,8 @@ def comparison_table(axes: MountedAxes, noise: Array, angle: Array) -> Table:
     """Makes the table that compares the two kinds of mounting. `noise`: array of shape (m,), relative standard uncertainty of K due
     to the noise within the segments. `angle`: array of shape (m,), standard uncertainty of the axis's angle θ, rad.
 
-    In a separate mounting, the axis is tilted about each of two directions by a random angle with the standard deviation `angle`.
-    If the total tilt is δ, then 1 − cos δ has the expectation angle² and the standard deviation angle².
+    In a separate mounting, the axis is assumed to be tilted about each of two directions by a random angle with the standard
+    deviation `angle`. If the total tilt is δ, then 1 − cos δ has the expectation angle² and the standard deviation angle².
     """
     cosine, tangent = np.abs(np.cos(axes.angles)), np.abs(np.tan(axes.angles))
     tilted, alone = tangent * angle, np.sqrt(2) * angle**2

@@ -25,7 +25,7 @@ from planrunner.estimators.tilted.rate_series import (
 )
 from planrunner.estimators.tilted.turning_rates import part_turns
 
-FEEBLE = 0.1  # cosine (84.3 deg) below which an axis sees a tenth of the rate, and its angle counts ten times
+FEEBLE = 0.1  # cosine (84.3 deg) below which an axis senses less than a tenth of the rate
 
 
 def design(request: DesignRequest[ScaleFactorTiltedParameters]) -> Design:

@@ -15,8 +15,8 @@ from planrunner.base.dataclass import dataclass
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.units import Unit, UnknownUnitError, unit
 
-ENOUGH = 3  # different rates that asymmetry needs beside both signs
-TOLERANCE = 1e-12  # of the condition of normal equations, beyond which rounding takes over
+ENOUGH = 3  # different rates that asymmetry needs, in addition to rates of both signs
+TOLERANCE = 1e-12  # reciprocal of the largest condition number of normal equations; beyond, rounding errors dominate
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,7 @@ def split_series(segments: Sequence[Segment], zero: Sequence[str]) -> tuple[Rate
 
 def by_temperature(series: Sequence[RateSeries]) -> dict[float | None, tuple[RateSeries, ...]]:
     """Returns the repeats at each planned temperature [K], by temperature, in the order in which the temperatures first occur. The
-    key None stands for temperatures that the plan does not state."""
+    key is None for temperatures that the plan does not state."""
     found: dict[float | None, list[RateSeries]] = {}
     for one in series:
         found.setdefault(one.temperature, []).append(one)

@@ -25,7 +25,7 @@ from planrunner.uncertainty.influences import Aspect, Influence
 
 Units = Sequence[tuple[Unit, Unit]]
 
-HALF = 0.5  # of the change expected: where threshold and resolution are reached (IEEE Std 528)
+HALF = 0.5  # fraction of the expected change at which threshold and resolution are reached (IEEE Std 528)
 
 
 def report(

@@ -123,9 +123,9 @@ class ScaleFactorTilted(Method[ScaleFactorTiltedParameters, TiltedQuantities]):
         observations = observe(kept, axes.outputs, request.sensor)
         situation = _situation(request, axes, fixture, kept, series, observations)
         groups, found = situation.groups, situation.found
-        # What is expected does not scatter: there the declared noise says how repeats and residuals will.
+        # Expected observations do not scatter, so their uncertainties come from the declared noise.
         basis = "within_segment" if observations.expected else parameters.uncertainty
-        # The scatter between repeats shows flicker by itself, but for what all of them share.
+        # The scatter between repeats includes flicker, except for the part that all repeats have in common.
         seen = basis == "repeats"
         stated = flicker_errors(observations, request.setup.inputs, SPAN.value)
         flicker = () if seen else stated

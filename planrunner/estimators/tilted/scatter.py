@@ -38,7 +38,7 @@ from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.observation.observations import SIGNIFICANCE, variances_differ
 from planrunner.uncertainty.derivatives import jacobian
 
-_RESOLVED = 1e-12  # of the variance of flicker, below which no noise is taken to be
+_RESOLVED = 1e-12  # of the variance of flicker: smallest assumed variance of the noise
 BASES = ("repeats", "residual", "within_segment")
 
 
@@ -107,10 +107,10 @@ def scatter_between_repeats(
 
 
 def in_common(group: Group, answers: Array, flicker: Sequence[CorrelatedError]) -> Array:
-    """Flicker makes the results of different repeats correlated. Returns the variances that this correlation adds to the means over
-    the repeats, shape (5·m,). A variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, or zero if this mean is negative.
-    fᵣ is the sensitivity of the quantities of repeat r to the means of segments, and C is the covariance of the flicker. `answers`:
-    array of shape (n, m, 5), sensitivities from `answers_of`."""
+    """Returns the variances that flicker adds to the means over the repeats because it correlates the repeats, shape (5·m,). A
+    variance is the mean of fᵣᵀCfₛ over all pairs of repeats r ≠ s, or zero if this mean is negative. fᵣ is the sensitivity of the
+    quantities of repeat r to the means of segments, and C is the covariance of the flicker. `answers`: array of shape (n, m, 5),
+    sensitivities from `answers_of`."""
     gains, q = answers_to_averages(answers), len(group.spins)
     found = np.zeros(gains.shape[1:])
     for effect in flicker:

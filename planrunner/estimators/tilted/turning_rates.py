@@ -22,7 +22,7 @@ from planrunner.physics.kinematics import Unreachable, joint_angles, rotation_ab
 from planrunner.physics.stimulus import StimulusError, segment_means
 from planrunner.plan.schedule import Segment, Spin
 
-WHOLE = 1e-3  # of a turn, by which a dwell in whole turns may miss
+WHOLE = 1e-3  # largest deviation of a dwell from whole turns, in turns
 
 
 def as_recording_begins(segments: Sequence[Segment], site: Site, table: TableModel | None) -> tuple[Segment, ...]:
