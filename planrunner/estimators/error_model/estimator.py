@@ -120,7 +120,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         only_recorded: dict[str, None] = {}
         unknown = [segment.label for segment in request.segments if isinstance(segment.motion, RecordedMotion)]
         for group in _planned(request):
-            if unknown:  # the plan is sound as far as effects and outputs go; only the recording shows whether it determines them
+            if unknown:  # effects and outputs are valid; only the recording shows whether it determines the amplitudes
                 continue
             its_own = replace(request, segments=tuple(request.segments[row] for row in group.rows))
             for one in group.outputs:
@@ -186,7 +186,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         if shown := {
             course.name for one in by_name.values() for course in one.fit.drift.courses if one.fit.drift.by_evidence
         }:
-            # What drifts in one output drifts in the others too, even where these alone do not show it.
+            # A drift that one output shows is fitted to the other outputs as well.
             by_name = {one.model.name: one for group in groups for one in _fitted(request, group, shown)}
         outputs = tuple(by_name[name] for name in parameters.outputs)
         basis = parameters.uncertainty

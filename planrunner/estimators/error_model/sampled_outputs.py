@@ -22,7 +22,7 @@ from planrunner.observation.samples import observed
 from planrunner.physics.earth import Site
 from planrunner.plan.units import unit
 
-_LEAST = 1e-9  # of the largest value of an output: the least noise of a sample that weights allow
+_LEAST = 1e-9  # of the largest value of an output: smallest noise of a sample that the weights assume
 
 
 @dataclass(frozen=True, slots=True, eq=False)

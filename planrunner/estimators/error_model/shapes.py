@@ -28,7 +28,7 @@ from planrunner.estimators.least_squares import LinearFit
 from planrunner.observation.observations import Observations, about_course, within_segment_noise
 
 _PRECISION = 1e-6  # of the shape's logarithm; the fit then adds a linear step
-_LEAST = 3.0  # standard uncertainties of an amplitude: of a smaller one the means do not show a shape
+_LEAST = 3.0  # standard uncertainties: smallest amplitude of an effect whose shape the means determine
 
 
 def shaped_part(output: ModelledOutput) -> EffectPart | None:

@@ -5,10 +5,10 @@ The samples of a segment are split into their mean and the differences from this
 the amplitudes are fitted linearly, so that the χ² of this fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J.
 Numer. Anal. 10, 1973). The fit searches for the smallest χ² within the bounds of the catalogue. At this minimum, the model y is
 linearised in amplitudes and shapes: J = ∂y/∂(amplitudes, shapes). A contrast is a weighted sum of the differences of the samples
-from the means of their segments. If the noise is white, all that the samples within the segments contribute to the fit is contained
-in a few contrasts, one for each column of J. After the means have been subtracted from the columns of J, let JᵀJ = V·S·Vᵀ be the
-eigendecomposition of JᵀJ, and z the samples. The contrasts S^(−1/2)·Vᵀ·Jᵀ·z then have the design matrix √S·Vᵀ, and their noise is
-uncorrelated with the standard deviation σ of the samples. The contrasts are added to the means of the segments as further
+from the means of their segments. If the noise is white, a few contrasts, one for each column of J, contain all information that the
+samples within the segments contribute to the fit. After the means have been subtracted from the columns of J, let JᵀJ = V·S·Vᵀ be
+the eigendecomposition of JᵀJ, and z the samples. The contrasts S^(−1/2)·Vᵀ·Jᵀ·z then have the design matrix √S·Vᵀ, and their noise
+is uncorrelated and has the standard deviation σ of the samples. The contrasts are added to the means of the segments as further
 observations of the generalised least-squares fit (`outputs_fit`). Drift, errors of the table and scatter between segments therefore
 act on the means as in every other fit.
 """
@@ -36,16 +36,16 @@ from planrunner.plan.units import Unit
 
 _SLOPE = 1e-3  # of the distance to the next value of the catalogue: the step for a derivative with respect to a shape
 _EDGE = 0.02  # of that distance: a shape nearer to the end of the catalogue's values counts as at its bound
-_ROUNDS = 15  # of Gauss and Newton's method, for the amplitudes of an output that an effect bends
+_ROUNDS = 15  # of the Gauss-Newton method, for the amplitudes of a nonlinear model
 _DONE = 1e-8  # relative change of χ²
 _RESOLVED = 1e-12  # of the largest eigenvalue of JᵀJ, for columns of size one: smaller ones are rounding
-_REWEIGHTED = 2.0  # change of a weight from which the shapes are sought anew
-_KEPT = 12  # evaluations of the columns
+_REWEIGHTED = 2.0  # change of a weight from which the search for the shapes is repeated
+_KEPT = 12  # evaluations of the columns that are kept
 _MOVED_ROUNDS = 3
 _ROUNDING = 1e-9  # of the largest value of an input once per turn: a mean that is smaller is a rounding error
 _BATCHES = 16  # of a segment, for the judgement whether its noise is white
 _FEWEST_SEGMENTS = 3  # whose contributions to a contrast can be compared
-_IN_ONE = 0.8  # Σ e² of a contrast that one segment alone decides
+_IN_ONE = 0.8  # Σ e² from which a single segment dominates a contrast
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,7 +141,8 @@ class SampledOutput:
     """The N samples of one output in n segments. `observed`: the stimulus at the samples, in the order of the segments. `values`:
     array of shape (N,), in the output's unit; None for a schedule. `variance`: array of shape (n,), variance of one sample in each
     segment. `error`: array of shape (n,), standard error of the mean of each segment. `gain`: True if the scale factor is among the
-    amplitudes. `flicker`: declared bias instability, in the output's unit.
+    amplitudes. `nominal`: nominal response, in the output's unit per SI unit of the measured quantity. `flicker`: declared bias
+    instability, in the output's unit. `expected`: for each effect, the values of its parameters that the plan expects.
     """
 
     observed: Observed
@@ -393,8 +394,8 @@ class _Problem:
         return self._linearised(values, amplitudes, observed, coloured)
 
     def _reweighted(self, values: Sequence[float], observed: Array) -> float:
-        """Computes the noise of the samples and the noise of the means again, from the residuals of a fit. Returns the factor by
-        which the ratio of these two noises changes. `values`: value of each shape. `observed`: array of shape (N,), the samples."""
+        """Recomputes the noise of the samples and the noise of the means from the residuals of a fit. Returns the factor by which
+        the ratio of these two noises changes. `values`: value of each shape. `observed`: array of shape (N,), the samples."""
         before = self.sigma / self.error
         amplitudes, _ = self.projected(values, observed)
         left = observed - self.values(values, amplitudes)

@@ -28,13 +28,13 @@ from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.schedule import Cycle, Rest, Segment
 
 SHORTEST = 60.0  # s
-# cos = 0.087: beyond, gyro errors turn into heading eleven times as much as at the equator.
+# cos = 0.087: beyond, the heading is eleven times as sensitive to gyro errors as at the equator.
 HIGHEST_LATITUDE = math.radians(85)
 STILL = 0.05  # m/s; a reference that moves faster is not at rest
-_COARSE = 300.0  # s at most that the coarse attitude is taken from, and the noise
-_SPANS = 64  # of the first stop, at most, whose means show flicker
+_COARSE = 300.0  # s, longest time from which the coarse attitude and the noise are computed
+_SPANS = 64  # most time spans of the first stop whose means give evidence of flicker
 _GRAVITY_TOLERANCE = 0.01
-# Of the Earth's rate: that much gyro error is 6 deg of heading at the equator, the end of small angles.
+# Fraction of the Earth's rate: such a gyro error changes the heading by 6 deg at the equator, the limit of small angles.
 _EARTH_TOLERANCE = 0.1
 _HEADING_LIMIT = math.radians(3)
 _WIDENED = 1.5  # consistency from which uncertainties are widened
@@ -329,8 +329,8 @@ def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site)
 
 
 def _would_agree(channels: Sequence[str], mean: Array, site: Site) -> list[str]:
-    """Returns the channels that may have the wrong sign: if the sign of any one of them is reversed, the rates at rest agree with
-    the Earth's rate. `mean`: array of shape (6,), mean readings at rest, rad/s and m/s²."""
+    """Returns the channels that may have the wrong sign. If the sign of only one of these channels is reversed, the rates at rest
+    agree with the Earth's rate. `mean`: array of shape (6,), mean readings at rest, rad/s and m/s²."""
     signs = 1.0 - 2.0 * np.eye(len(mean))
     errors = [_rate_error(sign * mean, site) for sign in signs]
     limit = _EARTH_TOLERANCE * site.earth_rate

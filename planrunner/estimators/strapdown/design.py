@@ -56,12 +56,12 @@ from planrunner.physics.rotation_cycle import RotationCycle
 from planrunner.plan.schedule import Cycle, Rest, Segment, Spin
 from planrunner.plan.units import UnknownUnitError, unit
 
-_STEP = 60.0  # s, over which the error equations are driven by a mean
-_LONGEST = 7 * 86400.0  # s that errors are predicted for
-_FINE = 60  # angles in each such step
-_MOMENTS = 24  # at which the effect of biases that wander is evaluated
-_KNOTS = 1800  # of the alignment at most, each a second or longer
-_COARSE_TURN = 0.05  # rad from sample to sample; beyond, what coning and sculling leave is no longer small
+_STEP = 60.0  # s, step of the error equations, over which their inputs are averaged
+_LONGEST = 7 * 86400.0  # s, longest navigation whose errors are predicted
+_FINE = 60  # angles in each step
+_MOMENTS = 24  # times at which the effect of changing biases is evaluated
+_KNOTS = 1800  # most intervals of the alignment, each at least one second long
+_COARSE_TURN = 0.05  # rad between samples; beyond, the errors of the coning and sculling corrections are not negligible
 
 
 def design(request: DesignRequest[StrapdownNavigationParameters]) -> Design:

@@ -1,11 +1,11 @@
-"""Finds, from the readings at the stops, biases that drift during a navigation. Computes the navigation errors that the drift
+"""Uses the readings at the stops to find biases that drift during a navigation. Computes the navigation errors that the drift
 causes.
 
 The fit has a separate constant for each position in which the sensor stops; the drift is the same function for all positions. The
 drift functions and the test of a drift are the same as in the static methods (`observation.drift`, `drift_fit`). The navigation is
-not corrected for the drift, because its errors are the errors of this sensor on this day. With constant biases, the errors would be
-different; this difference is stated as an error that is not corrected (JCGM 100:2008, F.2.4.5). The difference is computed with the
-linear error equations (`wandering`).
+not corrected for the drift, because the estimate reports the errors of this sensor on this day. With constant biases, the errors
+would be different; this difference is stated as an error that is not corrected (JCGM 100:2008, F.2.4.5). The difference is computed
+with the linear error equations (`wandering`).
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def stop_drift(stops: Stops, response: WanderingBias, flicker: Mapping[int, floa
     expected = np.ones(len(sigma))
     found, fits, full, explained = judged(expected)
     if not explained and not found.courses:
-        # More than noise and drift varies: a drift is sought in the scatter that the courses leave.
+        # Noise and drift do not explain the residuals: the scatter about the drift functions replaces the noise.
         expected = np.maximum(1.0, np.sqrt([one.variance_factor for one in full]))
         found, fits, _, _ = judged(expected)
     shown = [next(one for one in whole.courses if one.name == course.name) for course in found.courses]

@@ -47,8 +47,8 @@ S = TypeVar("S")
 _HIGHEST_REACHED = math.radians(89)
 
 
-_FEWER = 256  # the same, where only a drift is followed
-_INTERVALS = 4400  # of a navigation, in each of which a bias that wanders is its mean: a minute each in 72 h
+_FEWER = 256  # most intervals of a navigation if only a drift is computed
+_INTERVALS = 4400  # most intervals of a navigation, over which biases are averaged: one minute each for 72 h
 
 
 _GYRO = math.radians(0.1) / 3600  # rad/s

@@ -20,7 +20,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.navigation.mechanisation import Knots
 from planrunner.navigation.wgs84 import separation
 
-POINTS = 2000  # that a course over time keeps at most
+POINTS = 2000  # most stored points of the errors over time
 HOUR = 3600.0
 CEP_SHARE = math.sqrt(math.log(2))
 NAUTICAL_MILE = 1852.0  # m

@@ -56,7 +56,7 @@ class IncrementReader:
     """Reads the increments of successive segments. The time of samples continues from one segment to the next."""
 
     def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float, thermometer: str | None = None):
-        """`channels`: names of three gyros and three accelerometers, in the order x, y, z of each. `sample_rate`: sample rate, Hz.
+        """`channels`: names of three gyros and three accelerometers, each in the order x, y, z. `sample_rate`: sample rate, Hz.
         `bridge`: length of the longest gap that is filled, s. `thermometer`: a temperature channel that is read together with the
         other channels."""
         self.channels = tuple(channels)

@@ -180,7 +180,7 @@ def _plots(points: Array) -> tuple[Plot, ...]:
 
 
 def _source(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Said:
-    """Returns a note about where the uncertainties of the navigation errors come from."""
+    """Returns a note about the sources of the uncertainties of the navigation errors."""
     if not wandering_sensors(request.setup.inputs, request.parameters):
         return said(
             "The uncertainties of the errors come from the white noise observed during alignment, propagated through the linear "

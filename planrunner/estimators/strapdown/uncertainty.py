@@ -57,11 +57,11 @@ NAMES = {
     ),
     "cep_rate": ("nmi/h", said("CEP rate of this run: √(ln 2) times the radial error rate")),
 }
-_DIRECT = 7  # the first so many follow the state linearly
+_DIRECT = 7  # number of leading results that are linear functions of the state
 DEGREE = math.degrees(1.0)
 RATE = HOUR / NAUTICAL_MILE
 _DRAWS, _SEED = 1000, 20  # courses of errors; 1000 give a standard deviation to 2 %
-_MOMENTS = 96  # at which the effect of biases that wander is evaluated
+_MOMENTS = 96  # times at which the effect of changing biases is evaluated
 
 
 class Spread:
@@ -158,8 +158,7 @@ def _lengths(points: Array, covariances: Array) -> tuple[Array, Array]:
 
 
 def joined(found: Navigated, both: Array, over_time: Array) -> Array:
-    """Returns the covariance of the results `NAMES`, in their units, shape (m, m). The contribution of the CEP rate is not
-    included.
+    """Returns the covariance of the results `NAMES`, in their units, shape (m, m). The elements of the CEP rate are zero.
 
     The angles and the errors at the end are linear functions of the state. Correlations between figures that summarise the errors
     over time (largest and root-mean-square errors, error rate) are set to zero. `both`: array of shape (7, 7), joint covariance of

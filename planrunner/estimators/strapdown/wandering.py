@@ -72,9 +72,7 @@ class WanderingBias:
         errors at k moments of the navigation. The bias instability is 1 rad/s or 1 m/s². Returns an array of shape (k, 6, 7, 7)."""
         begun, count = self.begun, len(self.attitude)
         transition, response = self.equations.step(self.step)
-        driven = np.empty(
-            (count, SIZE, INPUTS)
-        )  # state per constant input in an interval, so many intervals after its end
+        driven = np.empty((count, SIZE, INPUTS))  # [k]: state k intervals after an interval with an input of one unit
         driven[0] = response
         for k in range(1, count):
             driven[k] = transition @ driven[k - 1]
