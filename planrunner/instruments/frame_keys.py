@@ -69,13 +69,14 @@ class PlacedNumber(Protocol):
 
 
 def field_of(item: PlacedNumber, scale: float = 1.0) -> Field:
-    """Describes a number in a frame, from its keys. `scale`: factor that converts the raw number to the value."""
+    """Returns the field that describes a number in a frame, from the keys of the number. `scale`: factor that converts the raw
+    number to the value."""
     width, kind = TYPES[item.type]
     return Field(item.place, width, kind, scale, item.little_endian)
 
 
 def framing_of(sync: str, length: int, checksum: ChecksumOfFrame | None) -> Framing:
-    """Describes frames of constant length, from their keys."""
+    """Returns the framing of frames of constant length, from their keys."""
     start = bytes.fromhex(sync)
     if checksum is None:
         return Framing(start, length)

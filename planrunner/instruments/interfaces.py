@@ -12,8 +12,8 @@ A driver is a class found through the entry-point group `planrunner.instruments`
         def connect(cls, parameters, surroundings) -> MyTable
 
 Commands return at once and state how many seconds they will probably take. The executor waits on its clock, and then queries
-`holding()`. Connecting does not count as a command: an instrument that was only connected is left unchanged when it is closed.
-Every failure is an `InstrumentError`; the executor then calls `make_safe` on every instrument that it commanded.
+`holding()`. Connecting does not count as a command. If an instrument was connected but received no command, closing it leaves it
+unchanged. Every failure is an `InstrumentError`; the executor then calls `make_safe` on every instrument that it commanded.
 """
 
 from __future__ import annotations
@@ -284,7 +284,8 @@ class Condition:
 
 @runtime_checkable
 class Watched(Protocol):
-    """An instrument with live readings. The readings determine when it has settled, and are compared with limits during a dwell."""
+    """An instrument with live readings. The readings determine when the instrument has settled, and are compared with limits during
+    a dwell."""
 
     def watch(self) -> Condition:
         """Returns the current condition of the instrument, which is determined by one short exchange or from the last frame. The

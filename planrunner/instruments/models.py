@@ -1,7 +1,7 @@
 """Defines models of instruments. These models are known without a connection to the instruments. Checks, schedules, designs and
 estimators use them.
 
-All values are in SI units, with angles in radians. The exception is the outputs of a sensor, whose units are always named.
+All values are in SI units, with angles in radians. The outputs of a sensor are an exception: their units are always named.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ DataOrigin = Literal["measured", "simulated", "replayed"]
 `replayed`: an earlier recording."""
 
 Senses = Literal["angular rate", "acceleration"]
-"""Quantities that inertial outputs sense. They are also the names of the dimensions of these quantities."""
+"""Quantities that inertial outputs measure. The dimensions of these quantities have the same names."""
 
 NOMINAL_SUPPLY = 5.0
-"""Supply voltage [V] that is assumed for a sensor without a stated one."""
+"""Supply voltage [V] that is assumed if the bench file states none."""
 
-_SHORT = 1e-3  # s; a lag too short to be felt
+_SHORT = 1e-3  # s; a lag that is too short to have an effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +97,8 @@ class ChamberModel:
         return slope * (self._lag_of_ramp(lag, seconds) - self._lag_of_ramp(lag, seconds - abs(kelvin) / self.ramp))
 
     def _lag_of_ramp(self, lag: float, seconds: float) -> float:
-        """Returns the difference that `behind` describes, for an endless ramp of 1 K/s: `seconds` after its start, for a body with
-        the time constant `lag` [s]."""
+        """Returns the difference [K] that `behind` describes, for an endless ramp of 1 K/s, `seconds` after the start of the ramp.
+        `lag`: time constant of the body, s."""
         if seconds <= 0:
             return 0.0
         a, s = max(self.lag, _SHORT), max(lag, _SHORT)
@@ -148,10 +148,10 @@ class NoiseModel:
         `rate_hz` during `seconds`.
 
         If remainders are not carried, the probability is largest for an input in the middle of a count. If remainders are carried,
-        the sum of the noise is a random walk, which starts anywhere in a count and must stay within it. A walk of n steps with the
-        standard deviation σ stays between two walls at the distance a from each other with a probability of at most
-        exp(−π²·n·σ²/(2·a²)). This follows from the series of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids, 3.3. As
-        the walls act only once per step, a is larger than the count by 2·0.5826·σ (D. Siegmund, Sequential Analysis, 10.2).
+        the sum of the noise is a random walk, which starts anywhere in a count and must stay within it. Consider two walls at the
+        distance a from each other. A walk of n steps with the standard deviation σ stays between these walls with a probability of
+        at most exp(−π²·n·σ²/(2·a²)). This follows from the series of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids,
+        3.3. As the walls act only once per step, a is larger than the count by 2·0.5826·σ (D. Siegmund, Sequential Analysis, 10.2).
         """
         if self.resolution == 0 or self.white == 0:
             return 0.0 if self.white else 1.0

@@ -47,8 +47,8 @@ class QuantityLike:
 
 @dataclass(frozen=True, slots=True)
 class Polynomial:
-    """Contains the coefficients of (T − T₀), (T − T₀)² and (T − T₀)³, in `unit`/K, `unit`/K^2 and `unit`/K^3. At least the first is
-    given."""
+    """Reads the coefficients of (T − T₀), (T − T₀)² and (T − T₀)³, in `unit`/K, `unit`/K^2 and `unit`/K^3. At least the first
+    coefficient must be given."""
 
     unit: str
 

@@ -2,7 +2,7 @@
 
 Columns of the file become channels with units. Each label of the plan belongs to an interval of the recording. The intervals are
 stated in a table of segments, or are separated by pauses in the recorded time; otherwise, the whole recording is one interval. All
-files must be inside the data folder, except those that are named on the command line. Rows are streamed, so a long recording is
+files must be inside the data folder, except files that are named on the command line. Rows are streamed, so a long recording is
 never in memory as a whole.
 """
 
@@ -227,7 +227,7 @@ class RecordingPlayer(PlaysBack):
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _pieces(self, time: Array, columns: Mapping[str, Array]) -> Iterator[Block]:
-        """Divides a block into pieces whose length depends on the clock: in real time, about one second each."""
+        """Divides a block into pieces of at most `self.piece` seconds. In real time, a piece lasts about one second."""
         rate = self.parameters.sample_rate.value
         size = time.size if math.isinf(self.piece) else max(1, round(self.piece * rate))
         for first in range(0, time.size, size):
@@ -266,7 +266,7 @@ class RecordingPlayer(PlaysBack):
 
 
 def _stamps(parameters: RecordingParameters) -> TimeStamps:
-    """Describes where the time of a row comes from. Raises `InstrumentError` if the bench file does not describe the time."""
+    """Describes how the time of a row is determined. Raises `InstrumentError` if the bench file does not describe the time."""
     if parameters.stamps is None:
         raise InstrumentError(
             f"the bench file does not say which column of {parameters.file} is the time: write `time: {{column: …}}`, or "

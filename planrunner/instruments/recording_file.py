@@ -27,7 +27,7 @@ from planrunner.instruments.interfaces import InstrumentError
 from planrunner.plan.span import EVERYTHING, Span
 
 HELD = 1_000_000
-"""Maximum number of rows of a recording that is kept in memory. From memory, many parts of the recording are read quickly."""
+"""Maximum number of rows of a recording that is kept in memory, so that many parts of the recording can be read quickly."""
 
 
 def beneath(root: Path | None, name: str) -> Path:
@@ -113,8 +113,8 @@ def open_recording(
 
 
 class _Joined:
-    """Several files, read one after the other as one recording. `counted`: True if the files contain no time and rows are counted
-    instead, through all files."""
+    """Several files, read one after the other as one recording. `counted`: True if the files contain no time, so that rows are
+    counted through all files instead."""
 
     def __init__(self, files: tuple[AnyFile, ...], pause: float | None, counted: bool):
         self.files, self.pause, self.counted = files, pause, counted
@@ -127,7 +127,7 @@ class _Joined:
 
     def _shift(self, file: AnyFile, last: float, first: float) -> float:
         """Returns the time [s] that is added to the times of a file. `last`: time of the last row of the previous file. `first`:
-        first time in this file."""
+        first time in this file. Raises `InstrumentError` if the file begins before the previous file ends."""
         period = 0.0 if math.isnan(self.interval) else self.interval
         if self.counted:
             return last + period - first

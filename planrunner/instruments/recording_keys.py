@@ -40,7 +40,7 @@ _NO_TRIM = Quantity(0.0, Unit("s", 1.0, DIMENSIONS["time"]))
 
 
 class UnitText:
-    """The name of a unit, such as deg/s."""
+    """Reads the name of a unit, such as deg/s."""
 
     def read(self, node: Node, log: Findings) -> str | None:
         text = node.text if isinstance(node, Scalar) else ""
@@ -321,7 +321,7 @@ class RecordingParameters(Record):
 
     @property
     def stamps(self) -> TimeStamps | None:
-        """Returns a description of where the time of a row comes from; None if the bench file does not state it."""
+        """Returns a description of how the time of a row is determined; None if the bench file does not state this."""
         if isinstance(self.time, TimeColumn):
             scale = SECONDS[self.time.unit] if self.time.per_second is None else 1 / self.time.per_second
             wraps = DAY if self.time.unit == "time_of_day" else self.time.wraps

@@ -168,7 +168,7 @@ class Look:
         other = np.abs(rates / np.median(rates) - 1) > _OTHER_RATE if len(rates) else np.zeros(0, bool)
         own = float(np.median(rates[other])) if np.count_nonzero(other) > _OTHER_RATES * len(rates) else math.nan
         steady = other & (np.abs(rates / own - 1) < _OTHER_RATE)
-        # a window that contains a pause stands alone
+        # a window that contains a pause has no neighbour with the same rate
         steady &= np.append(steady[1:], False) | np.append(False, steady[:-1])
         if np.count_nonzero(steady) <= _OTHER_RATES * len(rates):
             return None
@@ -185,7 +185,7 @@ class Look:
 
     def _turns_at_rates(self, gyro: LikelyChannel) -> bool:
         """Returns True if the mean of a gyro changes between the intervals without acceleration, but not within them. (A drift
-        would also change it within them.)"""
+        would also change the mean within the intervals.)"""
         if len(self.still) < 2 or not gyro.noise > 0:
             return False
         means = [_at_rest(self.windows, (span,), self.windows.mean[gyro.column]) / gyro.per_unit for span in self.still]
@@ -353,7 +353,7 @@ class _Clock:
 
     def unwrapped(self, times: Array) -> Array:
         """Corrects times [s] that come from a counter, if it became clear only after the last row that the counter returns to zero.
-        Adds one period of the counter for each time that it returned to zero."""
+        Adds one period of the counter for each return to zero."""
         if self._stamp is None or self._stamp.wraps is not None or self._wraps is None:
             return times
         return times + np.cumsum(np.diff(times, prepend=times[:1]) < 0) * (self._wraps * self._stamp.scale)
@@ -394,9 +394,9 @@ def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Gu
     """Returns the guesses about the columns. If the names of the columns show nothing, the guesses are completed from the values.
 
     If no name suggests a gyro or an accelerometer, the function searches for three neighbouring columns whose vector is as long as
-    gravity. These are assumed to be the accelerometers, and three columns next to them the gyros. If the names of three columns
-    state the axes x, y and z, the columns get these axes; otherwise they are x, y and z in their order. `first`: the first rows of
-    each column."""
+    gravity. These columns are assumed to be the accelerometers. Three columns next to them are assumed to be the gyros. If the
+    names of three columns state the axes x, y and z, the columns get these axes; otherwise they are x, y and z in their order.
+    `first`: the first rows of each column."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
     for begin in range(0, len(guesses) - 2):
@@ -574,7 +574,7 @@ def _channels(
     motion: TurnComparison | None,
     period: float,
 ) -> tuple[LikelyChannel, ...]:
-    """Completes the guesses by the size of the values. `period`: sample period, s."""
+    """Makes the channels from the guesses, which are completed from the size of the values. `period`: sample period, s."""
     accels = [one for one in guesses if one.sensed == "accel"]
     rested = [_at_rest(windows, still, windows.mean[one.column]) / _integrated(one, period) for one in accels]
     norm = largest = math.nan

@@ -24,9 +24,11 @@ from planrunner.instruments.sample_rates import RowsAtOneRate, SampleRates
 from planrunner.plan.span import ROUNDING, Span
 
 GAP = 1.5
-_MISSING = 0.05  # of a segment, at its beginning or its end: less is a table of segments with rounded times
 """If two consecutive samples are further apart than this number of sample periods, a sample is missing. A segment may also end this
 long after its last sample."""
+_MISSING = 0.05
+"""Fraction of a segment. If no samples exist for a longer part at the beginning or at the end of the segment, a warning is given. A
+shorter part may be due to rounded times in the table of segments."""
 LEAST_ROWS = 100
 """A channel with a constant value counts as dead if it has at least this number of rows."""
 SHOWN = 3

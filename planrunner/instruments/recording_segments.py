@@ -81,7 +81,7 @@ def read_segment_table(
 
 def stated_stretches(parameters: RecordingParameters, origin: float) -> SegmentTable:
     """Returns the segments that the bench file states as `stretches`. `origin`: time of the first row, s. Raises `InstrumentError`
-    for a stretch that does not end after it starts."""
+    if a stretch does not end after its start."""
     stated = parameters.stretches or {}
     spans: dict[str, Span] = {}
     lines: dict[str, int] = {}

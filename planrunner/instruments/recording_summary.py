@@ -3,7 +3,7 @@ and the number of the samples.
 
 Published calibrations often contain only such tables. A row is used as an observation, like the means of recorded samples.
 Estimates that need samples are refused. The samples of a segment are treated as independent: the standard error of a mean is s/√n,
-unless the table states it.
+unless the table states a standard error.
 """
 
 from __future__ import annotations

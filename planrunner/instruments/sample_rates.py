@@ -22,8 +22,7 @@ _OTHER = 0.2
 @dataclass(frozen=True, slots=True)
 class RowsAtOneRate(Generic[RowValue]):
     """Consecutive rows with one sample rate. `time`: array of shape (n,), s. `data`: array with n rows, one for each time.
-    `period`: sample period, s; NaN if there is only one row, which does not show it. `changed`: True if the rate changed before the
-    first of these rows."""
+    `period`: sample period, s; NaN if there is only one row. `changed`: True if the rate changed before the first of these rows."""
 
     time: Array
     data: NDArray[RowValue]
@@ -77,8 +76,8 @@ class SampleRates(Generic[RowValue]):
         return found
 
     def _changes(self, time: Array, data: NDArray[RowValue], found: list[RowsAtOneRate[RowValue]]) -> int:
-        """Adds the rows before the last change to `found`. Returns the first row after this change. `time`, `data`: the same as in
-        `take`."""
+        """Adds the rows before the last change to `found`. Returns the index of the first row after this change. `time`, `data`:
+        the same as in `take`."""
         steps = np.diff(time)
         count = len(steps) // _ROWS
         edges = _ROWS * np.arange(count + 1)

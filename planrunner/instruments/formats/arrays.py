@@ -1,8 +1,9 @@
 """Reads files of numeric arrays: MATLAB files of version 5 and 7.3, NumPy files and HDF5.
 
-A column is named after its array if the array has one number per row (`gyro_x`). A column of a matrix is named by its number,
-counted from 1 (`imu[4]`). The name of a field in a structure follows after a point (`data.gyr[1]`). In HDF5, `/` separates the
-groups (`imu/gyro[1]`). The rows of a matrix are counted along its longer dimension.
+A column is named after its array if the array has one number per row (`gyro_x`). A column of a matrix has the name of the matrix
+and the number of the column, counted from 1 (`imu[4]`). An array in a structure has the name of the structure, a point and the name
+of the field (`data.gyr[1]`). In HDF5, `/` separates the groups (`imu/gyro[1]`). The rows of a matrix are counted along its longer
+dimension.
 """
 
 from __future__ import annotations
@@ -244,13 +245,14 @@ class NumpyFile(_HeldArrays):
 
 
 def _array(file: IO[bytes], size: int) -> object:
-    """Reads an array in NumPy's format from the file. It is an error if the header states more data than the file contains."""
+    """Reads an array in NumPy's format from the first `size` bytes of the file. Raises `ValueError` if the header states more data
+    than these bytes contain."""
     whole = io.BytesIO(file.read(size))
     return np.lib.format.read_array(whole, allow_pickle=False)
 
 
 class Hdf5File(ArraysFile):
-    """An HDF5 file, including those that MATLAB 7.3 writes. Only datasets in the file itself are read; links to other files are
+    """An HDF5 file, which may have been written by MATLAB 7.3. Only datasets in the file itself are read; links to other files are
     refused."""
 
     @contextlib.contextmanager
@@ -296,7 +298,7 @@ class Hdf5File(ArraysFile):
 
 
 def is_hdf5(path: Path, name: str) -> bool:
-    """Returns True if a file is HDF5. The HDF5 part may come after the header that MATLAB 7.3 writes. Raises `InstrumentError` if
+    """Returns True if a file is HDF5. In a file of MATLAB 7.3, another header precedes the HDF5 part. Raises `InstrumentError` if
     the file cannot be opened."""
     with open_samples(path, name) as file:
         start = file.read(512 + len(HDF5_MAGIC))

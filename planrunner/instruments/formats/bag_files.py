@@ -1,8 +1,8 @@
 """Reads the files of ROS bags: topics, and the messages of a topic as bytes. The files are bags of ROS 1 (format 2.0), MCAP files, and
 databases of rosbag2. A bag of ROS 2 may be a folder with several files.
 
-Messages are read in the order in which they lie in the file, one chunk at a time. The index of a bag is used only to find its topics,
-so a bag that was not closed can be read, too. Sources: ROS wiki, Bags/Format/2.0; MCAP Format Specification.
+Messages are read in the order of the file, one chunk at a time. The index of a bag is used only to find its topics, so a bag that
+was not closed can also be read. Sources: ROS wiki, Bags/Format/2.0; MCAP Format Specification.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MAX_FILES = 10_000
 """Maximum number of files of a bag."""
 MAX_TOPICS = 10_000
 MAX_NAME = 200
-"""Maximum number of characters of the name of a topic or type. The rest is cut off."""
+"""Maximum number of characters in the name of a topic or of a type. Longer names are shortened."""
 METADATA = "metadata.yaml"
 ROS1_MAGIC = b"#ROSBAG V"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -44,7 +44,7 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _NOT_CLOSED = "messages that the recorder had not written yet, because the bag was not closed"
 
 _MALFORMED = (struct.error, UnicodeDecodeError, IndexError, KeyError)
-"""Exceptions for a record whose form is wrong."""
+"""Exceptions that are raised if a record has a wrong form."""
 
 Message = tuple[int, MessageBytes]
 """The time at which the recorder received a message, ns, and the bytes of the message."""
@@ -70,7 +70,8 @@ class Topic:
         return cls(_shown(name, MAX_NAME), _shown(kind, MAX_NAME), definition, is_cdr, count, problem)
 
     def joined(self, other: Topic) -> Topic:
-        """Returns the topic with the messages of another publisher or of another file."""
+        """Combines the topic with `other`, which describes the messages of another publisher or of another file on the same
+        topic."""
         problem = self.problem or other.problem
         if not problem and self.type != other.type:
             problem = f"its messages have two types, {self.type} and {other.type}"
@@ -87,7 +88,7 @@ def _alike(one: str, other: str) -> bool:
 
 
 def _shown(text: str, most: int) -> str:
-    """Returns the first `most` characters of a text, with `?` in the place of characters that cannot be displayed."""
+    """Returns the first `most` characters of a text, with `?` instead of characters that cannot be displayed."""
     return "".join(one if one.isprintable() else "?" for one in text[:most])
 
 
@@ -100,8 +101,8 @@ class _CutError(Exception):
 
 
 class BagFile(ABC):
-    """A file of a bag, or all files of a bag. `name`: name of the file, used in messages. `remarks`: what was left
-    out, in words."""
+    """A file of a bag, or all files of a bag. `name`: name of the file, used in messages. `remarks`: descriptions of data that were
+    left out."""
 
     def __init__(self, path: Path, name: str):
         self.path, self.name = path, name
@@ -124,7 +125,7 @@ class BagFile(ABC):
 
 
 def open_bag(path: Path, name: str) -> BagFile:
-    """Opens a bag: a file, or a folder with the file metadata.yaml. The contents determine the kind of a file. Raises
+    """Opens a bag: a file, or a folder with the file metadata.yaml. The first bytes of a file determine its format. Raises
     `InstrumentError` if the file is not a bag."""
     if path.is_dir():
         return _Folder(path, name)
@@ -151,7 +152,7 @@ class _Source(Protocol):
     size: int
 
     def read(self, position: int, count: int) -> MessageBytes:
-        """Returns `count` bytes from `position` on. Raises `_CutError` if they are not all there."""
+        """Returns `count` bytes, beginning at `position`. Raises `_CutError` if the source ends before the last of these bytes."""
 
 
 class _FileSource:
@@ -187,8 +188,8 @@ def _u64(data: MessageBytes, position: int = 0) -> int:
 
 
 def _unpacked(packed: MessageBytes, how: str, size: int) -> MessageBytes:
-    """Unpacks a chunk. `size`: the stated number of bytes; no more than one byte beyond it is produced. Raises `ValueError` if the
-    chunk is damaged or has another size."""
+    """Unpacks a chunk. `how`: name of the compression method. `size`: the stated number of bytes after unpacking. At most one byte
+    more than this number is unpacked. Raises `ValueError` if the chunk is damaged or has another size."""
     if size > MAX_CHUNK:
         raise ValueError(f"it has {size / 1e9:.3g} GB, more than {MAX_CHUNK / 1e9:g} GB")
     if how in ("", "none"):
@@ -246,8 +247,9 @@ class _Record:
 
 
 class _RecordsFile(BagFile):
-    """A file of records, some of which are chunks that contain further records. `MESSAGE`, `CHUNK`, `END`: numbers of the kinds of
-    records that contain a message, that contain records, and that end the file."""
+    """A file of records, some of which are chunks that contain further records. `MESSAGE`: kind of the records that contain a
+    message. `CHUNK`: kind of the records that contain further records. `END`: kind of the record that ends the file; −1 if there is
+    none."""
 
     MESSAGE: int
     CHUNK: int
@@ -284,7 +286,7 @@ class _RecordsFile(BagFile):
 
     @abstractmethod
     def _declared(self, record: _Record, source: _Source) -> tuple[int, Topic] | None:
-        """Returns the number and the topic of a connection, if the record declares a connection."""
+        """Returns the number and the topic of the connection that the record declares; None if it does not declare a connection."""
 
     @abstractmethod
     def _of_message(self, record: _Record, source: _Source) -> tuple[int, int, int]:
@@ -329,8 +331,9 @@ class _RecordsFile(BagFile):
     def _walk(
         self, source: _FileSource, position: int, connections: dict[int, Topic], topic: str | None
     ) -> Iterator[tuple[int, int, MessageBytes]]:
-        """Yields the messages of a topic, or of all topics: the number of the connection, the time [ns] and the bytes. `connections`:
-        receives the connections of the file."""
+        """Yields the messages of a topic. If `topic` is None, yields the messages of all topics, without their bytes. Each message
+        consists of the number of the connection, the time [ns] and the bytes. The connections of the file are added to
+        `connections`."""
         while position < source.size:
             begin = position
             try:
@@ -365,7 +368,8 @@ class _RecordsFile(BagFile):
     def _of_record(
         self, record: _Record, source: _Source, connections: dict[int, Topic], topic: str | None
     ) -> Iterator[tuple[int, int, MessageBytes]]:
-        """Yields the message of a record if it belongs to the topic. Adds the connection that a record declares."""
+        """Yields the message of a record if it belongs to the topic. If the record declares a connection, adds it to
+        `connections`."""
         if record.kind == self.MESSAGE:
             number, time, at = self._of_message(record, source)
             if number not in connections:
@@ -390,7 +394,7 @@ def _fields(header: MessageBytes) -> dict[bytes, bytes]:
 
 
 class _Ros1Bag(_RecordsFile):
-    """A bag of ROS 1. A record has a header with named fields; the field `op` is its kind."""
+    """A bag of ROS 1. A record has a header with named fields. The field `op` states the kind of the record."""
 
     MESSAGE, CHUNK = 2, 5
     _BAG_HEADER, _CHUNK_INFO, _CONNECTION = 3, 6, 7
@@ -462,7 +466,7 @@ class _Schema:
 
 
 class _Mcap(_RecordsFile):
-    """An MCAP file. A record has a kind and a size, without further fields before its data."""
+    """An MCAP file. A record consists of its kind, its size and its data."""
 
     MESSAGE, CHUNK, END = 0x05, 0x06, 0x02
     _SCHEMA, _CHANNEL, _STATISTICS = 0x03, 0x04, 0x0B
@@ -545,8 +549,8 @@ class _Mcap(_RecordsFile):
 
 
 def _strings(data: bytes, position: int, count: int) -> list[bytes]:
-    """Returns `count` texts that follow each other in `data` from `position` on, each with its size before it. Raises
-    `struct.error` if they are not all there."""
+    """Returns `count` successive texts from `data`, beginning at `position`. The size of each text precedes the text. Raises
+    `struct.error` if the data end too early."""
     found = []
     for _ in range(count):
         size = _u32(data, position)

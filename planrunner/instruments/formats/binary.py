@@ -51,7 +51,7 @@ class BinaryKeys(Record):
 
     @property
     def framing(self) -> Framing:
-        """Returns the form of a record."""
+        """Returns the framing of the records."""
         return framing_of(self.sync or "", self.length, self.checksum)
 
 

@@ -70,7 +70,8 @@ ENDINGS = {
 
 
 def usual_format(path: Path) -> str | None:
-    """Returns the format that the extension of the file name determines, or that a folder has; None if there is no such format."""
+    """Returns the format that the extension of the file name determines; None if it determines no format. A folder with metadata of
+    a bag has the format `rosbag`."""
     if path.is_dir() and (path / METADATA).is_file():
         return "rosbag"
     kind = ENDINGS.get(path.suffix.lower())
@@ -101,7 +102,7 @@ def _kind(name: str) -> type[AnyFile]:
 
 
 class FormatChoice:
-    """Reads the value of `format` and the keys of the format that it names."""
+    """Reads the value of `format`, and the additional keys of this format."""
 
     _plugged = Plugged(Format, "type", lambda: tuple(FORMATS), _kind, "form-choice")
 

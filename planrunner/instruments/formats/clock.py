@@ -41,12 +41,13 @@ _FORMS = (
     rf"^\s*{_NO_DATE}(?P<h>)(?P<m>\d{{1,3}}):(?P<s>\d{{2}})[.,](?P<f>\d{{1,9}})\d*(?P<p>)(?P<z>)\s*$",
     rf"^\s*{_NO_DATE}(?P<h>\d{{2}})(?P<m>\d{{2}})(?P<s>\d{{2}})(?:\.(?P<f>\d{{1,9}})\d*)?(?P<p>)(?P<z>)\s*$",
 )
-"""Accepted forms of a time: a date before a time of day, with the year first or last; both without separators; minutes and seconds;
-a time of day without separators, as in NMEA sentences."""
+"""Accepted forms of a time, in this order: a time of day with colons, with or without a date before it; a date and a time of day
+with points; a date and a time of day without separators; minutes and seconds; a time of day without separators, as in NMEA
+sentences. The year is the first or the last part of a date."""
 
 
 class NoTimesError(InstrumentError):
-    """Reports a column of texts none of which is a time."""
+    """Reports that none of the texts in a column is a time."""
 
 
 class DateOrder:
@@ -75,7 +76,8 @@ class DateOrder:
 
     def decide(self) -> None:
         """Decides for the order of day and month in which all dates exist. If both orders are possible, three criteria apply in
-        turn: fewer dates that are earlier than the date before; fewer days between the first and the last date; the usual order."""
+        turn: fewer dates that are earlier than the previous date; fewer days between the earliest and the latest date; the usual
+        order."""
 
         def cost(day_first: bool) -> tuple[int, int, float, bool]:
             days = np.array([_days_until(y, *((b, a) if day_first else (a, b))) for a, b, y in self._dates])
@@ -100,10 +102,10 @@ class DateOrder:
 def seconds_in(texts: pa.Array, where: PlaceOfText, dates: DateOrder) -> Array:
     """Converts texts to times [s], shape (n,). An empty or missing text gives NaN.
 
-    `where`: names the place of a text. `dates`: the order of day and month. Raises `InstrumentError` for a text that is not a time,
-    and for texts of which only some contain a date. The error is a `NoTimesError` if none of the texts is a time. While `dates` is
-    undecided, dates with slashes are read with the month first, and other dates with the day first. A date that does not exist in
-    this order then gives NaN and no error."""
+    `where`: names the place of a text. `dates`: the order of day and month. Raises `InstrumentError` if a text is not a time, or if
+    only some of the texts contain a date. The error is a `NoTimesError` if none of the texts is a time. While `dates` is undecided,
+    dates with slashes are read with the month first, and other dates with the day first. A date that does not exist in this order
+    then gives NaN and no error."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -165,8 +167,8 @@ def seconds_of(text: str, where: str, dates: DateOrder) -> float:
 
 
 def of_objects(values: Sequence[object] | NDArray[np.generic], where: PlaceOfText, dates: DateOrder) -> Array:
-    """Converts values to times [s], shape (n,). The values have NumPy's type `datetime64`, or are texts or times of Python. A
-    missing value gives NaN."""
+    """Converts values to times [s], shape (n,). The values have NumPy's type `datetime64`, or are texts or Python objects for dates
+    and times. A missing value gives NaN."""
     import pyarrow as pa
 
     array = np.asarray(values)

@@ -27,7 +27,7 @@ from planrunner.plan.span import EVERYTHING, Span
 ReadRows = Iterator[tuple[Array, dict[str, Array]]]
 
 MAX_BYTES = 100_000_000_000
-"""Maximum size of the file: ten channels at 1 kHz for a month."""
+"""Maximum size of the file in bytes. This size is sufficient for ten channels at 1 kHz over a month."""
 MAX_COLUMNS = 1_000
 BATCH = 65_536  # rows
 
@@ -50,7 +50,7 @@ def few_columns(count: int, name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class TimeStamps:
-    """Describes where the time of a row comes from.
+    """Describes how the time of a row is determined.
 
     `column`: name of the column with the time or with a counter; None if the rows are counted. `scale`: seconds per unit of the column.
     `period`: time [s] between rows if the rows are counted. `wraps`: value at which the counter starts again from zero, None if it
@@ -125,9 +125,9 @@ Keys = TypeVar("Keys", bound=Record, covariant=True)
 class FormatFile(ABC, Generic[Keys]):
     """Reads a file of samples in some format.
 
-    `name`: name of the file, used in messages. `stamps`: where the time of a row comes from. `channels`: for each channel, the name
-    of its column. `parameters`: the keys of the format in the bench file. `origin`: time of the first row, s. `interval`: median
-    time between the first rows, s; NaN if there is only one row. `about`: approximate number of rows. The method `look` sets
+    `name`: name of the file, used in messages. `stamps`: how the time of a row is determined. `channels`: for each channel, the
+    name of its column. `parameters`: the keys of the format in the bench file. `origin`: time of the first row, s. `interval`:
+    median time between the first rows, s; NaN if there is only one row. `about`: approximate number of rows. The method `look` sets
     `origin`, `interval` and `about`. `texts`: columns of texts that are read in addition to the columns of the channels.
     """
 
@@ -140,7 +140,8 @@ class FormatFile(ABC, Generic[Keys]):
         self.texts: frozenset[str] = frozenset()
 
     def with_channels(self, stamps: TimeStamps, channels: Mapping[str, str]) -> Self:
-        """Returns the same file with another time and other channels. What is known about its contents is not determined again."""
+        """Returns the same file with other time stamps and other channels. Facts about the contents that are already known are
+        kept."""
         other = copy.copy(self)
         other.stamps, other.channels = stamps, dict(channels)
         return other
@@ -150,8 +151,8 @@ class FormatFile(ABC, Generic[Keys]):
         """Returns the names of the columns. Raises `InstrumentError` if the file cannot be read."""
 
     def examined(self) -> list[str]:
-        """Returns the names of the columns that can be the columns of one recording; by default all. Raises `InstrumentError` if the
-        file cannot be read."""
+        """Returns the names of columns that can be used together in one recording; by default, all columns. Raises
+        `InstrumentError` if the file cannot be read."""
         return self.columns()
 
     def contents(self) -> tuple[str, ...]:
@@ -159,7 +160,7 @@ class FormatFile(ABC, Generic[Keys]):
         return ()
 
     def units(self) -> Mapping[str, str]:
-        """Returns the units of the columns for which the file states them apart from the name."""
+        """Returns the units of the columns whose unit the file states outside the column name."""
         return {}
 
     @abstractmethod
@@ -247,7 +248,7 @@ class FormatFile(ABC, Generic[Keys]):
             yield first, time, {name: rows.numbers(column) for name, column in self.channels.items()}
 
     def _timed(self, span: Span) -> Iterator[tuple[int, SampleRows, Array]]:
-        """Yields the batches of rows that are not empty, with the times of their rows."""
+        """Yields the batches that contain rows: the number of the first row, the rows, and their times [s]."""
         stamps = self.stamps
         counter = None if stamps.wraps is None else _Counter(stamps.wraps)
         try:

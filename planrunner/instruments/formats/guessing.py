@@ -1,7 +1,7 @@
 """Guesses the layout of a file: its format, its numeric columns, its column of time, and the channel of each column.
 
 The guesses use only names, numbers, and the sample rate that a text file may state before its header. A person who knows the
-recording should check and correct them.
+recording should check and correct the guesses.
 """
 
 from __future__ import annotations
@@ -101,8 +101,8 @@ _NEAR_RATE = 5.0
 although it contradicts the stated rate. Beyond it, the column counts as a counter of unknown frequency."""
 _LONGEST_LINE = 60
 GRAVITY_ALIKE = 0.12
-"""Largest logarithm of the ratio between the length of a vector and gravity at which the two count as equal. The scale of an
-uncalibrated sensor is wrong by a few per cent."""
+"""The length of a vector counts as equal to gravity if the natural logarithm of their ratio is smaller than this value. The scale
+of an uncalibrated sensor is wrong by a few per cent."""
 _GRAVITY_NAMED = 0.29  # the same for accelerometers known by name, in m/s^2 and g: no raw counts have such small values
 _SENSED = (
     ("temperature", re.compile(r"temp(?!l)|celsius|fahrenheit|kelvin", re.IGNORECASE)),
@@ -211,7 +211,7 @@ class Guess:
 
 
 _COUNTED = TimeStamps(None, period=1.0)
-"""The time of a file in which the column of the time is not known yet."""
+"""Time stamps of a file whose time column is not known yet: the rows are counted."""
 _REFUSED = (
     ("a compressed file", b"BZh", "unpack it first (bzip2)"),
     ("a compressed file", b"\xfd7zXZ", "unpack it first (xz)"),
@@ -227,7 +227,7 @@ _REFUSED = (
 """Files that are recognised but not read. Each entry states the kind of file, how the file begins, and what the user can do."""
 NO_UNITS: Mapping[str, str] = MappingProxyType({})
 _TOPIC = re.compile(r"^/[^.\s]*\.")
-"""The topic at the start of the name of a column of a ROS bag."""
+"""The topic at the start of a column name in a ROS bag."""
 _JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\[\s*[{\[]|\{\s*\"|\[[-+.\d\s,eE]*\]\s*\[)")
 """Start of a text in JSON: a list of objects or lists, an object, or lists that follow each other."""
 
@@ -278,7 +278,7 @@ def guessed_format(path: Path, name: str) -> Format | None:
 
 
 def _recognised(start: bytes) -> Format | None:
-    """Returns the format of a file that is no table of text, if the start of the file shows the format."""
+    """Returns the format that the first bytes of a file show; None if the file may be a table of text."""
     if start.startswith(dataflash.BINARY) or re.match(dataflash.TEXT, start):
         return Format(type="dataflash", parameters=dataflash.DataflashKeys())
     if start.startswith((ROS1_MAGIC, MCAP_MAGIC)):
@@ -441,8 +441,8 @@ def columns_of_numbers(file: AnyFile) -> list[str]:
 
 
 def not_numbers(file: AnyFile, numbers: Sequence[str]) -> dict[str, str]:
-    """Finds columns that cannot be read, although their names state that they are a time or a channel. Returns the reason for each
-    of them. For a column of dates or times of day, the reason names the first wrong time. `numbers`: the columns of numbers, which
+    """Finds columns that cannot be read, although their names suggest a time or a channel. Returns the reason for each of these
+    columns. For a column of dates or times of day, the reason names the first wrong time. `numbers`: the columns of numbers, which
     are left out. Raises `InstrumentError` if the file cannot be read."""
     known = file.examined()[:MOST_COLUMNS]
     found: dict[str, str] = {}
@@ -464,8 +464,8 @@ def not_numbers(file: AnyFile, numbers: Sequence[str]) -> dict[str, str]:
 
 
 def columns_of_times(file: AnyFile, numbers: Sequence[str]) -> dict[str, Array]:
-    """Finds the columns that contain dates or times of day as text. Returns each of them with its first times [s]. `numbers`: the
-    columns of numbers, which are left out. Raises `InstrumentError` if the file cannot be read."""
+    """Finds the columns that contain dates or times of day as text. Returns the first times [s] of each of these columns.
+    `numbers`: the columns of numbers, which are left out. Raises `InstrumentError` if the file cannot be read."""
     known = file.examined()[:MOST_COLUMNS]
     found: dict[str, Array] = {}
     for column in dict.fromkeys(known):
@@ -600,7 +600,7 @@ def guessed_time(
     The following are tried in turn: columns of numbers that have the name of a time; dates and times of day; columns of numbers
     that increase regularly. If there is no such column, a time that several rows share shows at least the sample rate. `first`: the
     first rows of the columns that contain numbers. `written`: the times [s] of the columns of texts. `stated`: the rates that the
-    file states. `units`: the units that the file states apart from the names."""
+    file states. `units`: the units that the file states outside the column names."""
     named = {column: values for column, values in first.items() if _TIME.search(column)}
     for column, values in named.items():
         time = _number_time(column, values, first, stated, units.get(column, ""))
@@ -642,7 +642,7 @@ def _number_time(
     regular: bool = False,
 ) -> LikelyTime | None:
     """Describes the time in a column of numbers; None if the column does not look like a time. `unit`: the unit that the file
-    states apart from the name. `regular`: True if only a column with equal steps counts as a time. `values`: first values of the
+    states outside the column name. `regular`: True if only a column with equal steps counts as a time. `values`: first values of the
     column. `first`: the first rows of all columns of numbers."""
     if len(values) < 3 or not np.all(np.isfinite(values)):
         return None
@@ -727,7 +727,7 @@ def _time_of(
 ) -> LikelyTime | None:
     """Describes the time in a column; None if no unit of time leads to a usual sample rate.
 
-    `step`: median step of the column. `values`: first values of the column. `unit`: the unit that the file states apart from the
+    `step`: median step of the column. `values`: first values of the column. `unit`: the unit that the file states outside the column
     name. If a unit leads to a stated rate, or to a date in this century, the unit is sure. A column of whole numbers may also be a
     counter of unknown frequency. The function assumes such a counter if the file states the rate of its samples, and if each unit
     of time leads to a very different rate."""
@@ -769,7 +769,7 @@ def _time_of(
 
 def guessed_channels(columns: Sequence[str], units: Mapping[str, str]) -> list[Guess]:
     """Guesses the meaning of columns from their names. If a vector has an element 0, its elements are counted from 0. `units`: the
-    units that the file states apart from the names."""
+    units that the file states outside the column names."""
     from_zero = {column[:-3] for column in columns if column.endswith("[0]")}
     found = []
     for column in columns:

@@ -43,7 +43,7 @@ _PER_TEXT = 10  # number of numbers that need as much memory as one text
 
 Step = str | int
 _ABSENT = object()
-"""Stands for a value that a sample does not contain; None is a missing number."""
+"""Marks a value that a sample does not contain. None marks a missing number."""
 
 
 class JsonKeys(Record):
@@ -58,7 +58,7 @@ class JsonKeys(Record):
 
 @dataclass(frozen=True, slots=True)
 class _Layout:
-    """Describes the place of the samples in a file.
+    """Describes where a file contains the samples.
 
     `samples`: the keys that lead to the list of samples; None if the values of the file follow each other, and each is a sample.
     `columns`: for each column, the keys and positions that lead to its number in a sample. `held`: the columns of a file that

@@ -147,7 +147,8 @@ class LongFile(FormatFile[Record]):
         return self._survey
 
     def _found(self) -> _Survey:
-        """Reads the whole table once."""
+        """Reads the whole table once, and returns facts about it. Raises `InstrumentError` if the table has no column of the time,
+        or if a column is absent."""
         if self.stamps.column is None:
             message = "a table of readings needs a column of the time, because it shows which readings form a sample"
             raise InstrumentError(f"{self.name}: {message}; write `time: {{column: …}}`")

@@ -12,14 +12,15 @@ from planrunner.instruments.formats.file import open_samples
 from planrunner.instruments.interfaces import InstrumentError
 
 MAX_UNPACKED_TEXT = 10_000_000_000
-"""Maximum number of bytes of a packed text after unpacking. A file with the maximum ratio of gzip has a thousandth of this size."""
+"""Maximum number of bytes of a packed text after unpacking. At the highest compression ratio of gzip, the packed file has about a
+thousandth of this size."""
 GZIP = b"\x1f\x8b"
 
 
 def open_text(path: Path, name: str) -> BinaryIO:
-    """Opens a text file, positioned at its start. If it is packed with gzip, its unpacked contents are read. `name`: name of the file,
-    used in messages. Raises `InstrumentError` if it is not a regular file or is too large. While a packed file is read,
-    `InstrumentError` is raised if it is damaged or too large."""
+    """Opens a text file, positioned at its start. If it is packed with gzip, its unpacked contents are read. `name`: name of the
+    file, used in messages. Raises `InstrumentError` if the file is not a regular file or is too large. If a packed file is damaged,
+    or is too large after unpacking, reading raises `InstrumentError`."""
     file = open_samples(path, name)
     start = file.read(len(GZIP))
     file.seek(0)
@@ -27,8 +28,8 @@ def open_text(path: Path, name: str) -> BinaryIO:
 
 
 def text_size(path: Path, name: str, start: int) -> int:
-    """Estimates the number of bytes of a text, after unpacking. `start`: number of bytes from whose ratio the size is estimated.
-    Raises `InstrumentError` if the file cannot be opened."""
+    """Estimates the number of bytes of a text, after unpacking. `start`: number of unpacked bytes from which the compression ratio
+    is estimated. Raises `InstrumentError` if the file cannot be opened."""
     with open_samples(path, name) as file:
         packed = file.read(len(GZIP)) == GZIP
         size = file.seek(0, 2)

@@ -1,9 +1,10 @@
-"""Decodes the messages of ROS 1 and ROS 2: finds the numeric fields of a type of messages, and reads them from the bytes of a message.
+"""Decodes the messages of ROS 1 and ROS 2: finds the numeric fields of a message type, and reads these fields from the bytes of a
+message.
 
 The package rosbags parses the definitions of the types, and knows the types that are part of ROS. Its own decoder executes Python
-code that it generates from a definition. Here, a definition becomes a list of steps that are carried out, so nothing that a file
-contains is executed. Sources: Common Data Representation (OMG, DDS-XTypes 1.3, section 7.4.1, PLAIN_CDR) for ROS 2; the serialization
-of ROS 1 (roscpp, `serialization.h`).
+code that it generates from a definition. This module converts a definition to a list of decoding steps instead, so that no code
+from a file is executed. Sources: Common Data Representation (OMG, DDS-XTypes 1.3, section 7.4.1, PLAIN_CDR) for ROS 2; the
+serialization of ROS 1 (roscpp, `serialization.h`).
 
 A field has the name that a program for ROS would use (`angular_velocity.x`). The elements of an array are counted from 1
 (`orientation_covariance[9]`). A time or duration is one number in s.
@@ -35,7 +36,7 @@ MAX_ELEMENTS = 64
 MAX_FIELDS = 5_000
 """Maximum number of fields of a type, including the fields of the types that it contains."""
 MAX_DEPTH = 16
-"""Maximum depth of types in types."""
+"""Maximum nesting depth of types."""
 _TIMES = {"builtin_interfaces/msg/Time": ["I", "I"], "builtin_interfaces/msg/Duration": ["i", "i"]}
 """Types of ROS 1 that consist of seconds and nanoseconds."""
 _TIMES_2 = {"builtin_interfaces/msg/Time": ["i", "I"], "builtin_interfaces/msg/Duration": ["i", "I"]}
@@ -175,8 +176,8 @@ class MessageReader:
             self._layouts[0] = _Layout.of(of_type, ">", wanted)
 
     def numbers(self, message: MessageBytes) -> list[float]:
-        """Returns the numbers of a message that the fields consist of. Raises `WrongMessageError` if the bytes are not a message of
-        this type."""
+        """Returns the numbers in a message that the selected fields consist of. Raises `WrongMessageError` if the bytes are not a
+        message of this type."""
         layout, body = self._layouts[1], message
         if self._is_cdr:
             if len(message) < 4 or message[0] != 0 or message[1] not in (0, 1):
@@ -213,11 +214,11 @@ class _Step(Protocol):
 
     def read(self, body: MessageBytes, position: int, values: list[float]) -> int:
         """Adds the numbers that are wanted to `values`, and returns the position of the next step. Raises `struct.error` or
-        `WrongMessageError` if the bytes do not fit."""
+        `WrongMessageError` if the bytes do not match the step."""
 
 
 class _Block:
-    """Numbers that follow each other at known distances. `align`: the block begins at a multiple of this number of bytes."""
+    """A block of numbers at known offsets. `align`: the block begins at a multiple of this number of bytes."""
 
     def __init__(self, form: str, align: int):
         made = struct.Struct(form)
@@ -230,7 +231,7 @@ class _Block:
 
 
 class _Sequence:
-    """A text, or a list of any length of numbers, which is passed over. `size`: bytes of an element."""
+    """Skips a text, or a list of numbers of any length. `size`: number of bytes of an element."""
 
     def __init__(self, order: str, size: int, *, is_cdr: bool):
         self._unpack, self._size, self.least = struct.Struct(f"{order}I").unpack_from, size, 4
@@ -251,7 +252,7 @@ class _Sequence:
 
 
 class _Repeated:
-    """Elements of a type with several fields, which are passed over. `count`: number of elements; None if the message states it."""
+    """Skips elements of a type with several fields. `count`: number of elements; None if the message states this number."""
 
     def __init__(self, order: str, count: int | None, steps: Sequence[_Step], *, is_cdr: bool):
         self._unpack, self._count, self._steps = struct.Struct(f"{order}I").unpack_from, count, steps
@@ -277,9 +278,9 @@ class _Repeated:
 class _Layout:
     """The steps that decode the messages of a type.
 
-    `columns`: all numeric fields, with their units. `parts`: for each number that the steps read, its field and the value of 1 in
-    the unit of the field. A time consists of two numbers. `modulus`, `offset`: the current position is `offset` plus a multiple of
-    `modulus` bytes. `count`: number of fields so far, shared with the layouts of elements."""
+    `columns`: all numeric fields, with their units. `parts`: for each number that the steps read, its field and the factor that
+    converts the number to the unit of the field. A time consists of two numbers. `modulus`, `offset`: the current position is
+    `offset` plus a multiple of `modulus` bytes. `count`: number of fields so far, shared with the layouts of elements."""
 
     def __init__(
         self, of_type: MessageType, order: str, wanted: Collection[str] | None, modulus: int, count: list[int]
@@ -301,7 +302,7 @@ class _Layout:
         return made
 
     def _message(self, name: str, prefix: str | None, unit: str, depth: int) -> None:
-        """Adds the fields of a type. `prefix`: start of the names of the fields; None if they are passed over."""
+        """Adds the fields of a type. `prefix`: start of the names of the fields; None if the fields are skipped."""
         if depth > MAX_DEPTH:
             raise UnreadableTypeError(f"contains types in types, more than {MAX_DEPTH} deep")
         times = (_TIMES_2 if self.type.is_cdr else _TIMES).get(name)
@@ -366,7 +367,7 @@ class _Layout:
         self._offset += struct.calcsize(f"={code}")
 
     def _numbers(self, code: str, count: int) -> None:
-        """Adds an array of numbers that are passed over."""
+        """Adds an array of numbers that is skipped."""
         size = struct.calcsize(f"={code}")
         self._aligned(size)
         self._form += f"{count * size}x"

@@ -67,7 +67,7 @@ class _Contents:
 
 
 class RosbagFile(FormatFile[NoKeys]):
-    """A ROS bag. Its messages are read in batches, in the order in which they lie in the bag."""
+    """A ROS bag. Its messages are read in batches, in the order of the bag."""
 
     def __init__(self, path: Path, name: str, stamps: TimeStamps, channels: Mapping[str, str], parameters: NoKeys):
         super().__init__(path, name, stamps, channels, parameters)
@@ -77,8 +77,9 @@ class RosbagFile(FormatFile[NoKeys]):
         return list(self._units(self._needed()))
 
     def examined(self) -> list[str]:
-        """Returns the columns of the topic that most probably contains the IMU: of the messages of the type Imu, or of any type, the
-        topic with most messages. Covariances are left out: they are statements of the driver, not samples."""
+        """Returns the columns of the topic that most probably contains the samples of an IMU. Topics with messages of the type Imu
+        are preferred, then topics with many messages. Covariances are left out, because they are statements of the driver and not
+        samples."""
         contents = self._contents()
         ranked = sorted(
             (one for one in contents.topics.values() if one.count),

@@ -39,7 +39,8 @@ DECIMALS = {"point": ".", "comma": ","}
 MOST_COUNTED = 1_000_000
 """Largest row number for which a message states the line. For later rows, the lines are not counted."""
 MOST_WRONG = 0.1
-"""Fraction of lines with a wrong number of columns. At and above it, the separator counts as wrong."""
+"""Number of lines with a wrong number of columns, divided by the number of correct lines. Above this ratio, the separator counts as
+wrong."""
 _MISSING = ("N/A", "#N/A", "#N/A N/A", "#NA", "NULL", "NA", "1.#IND", "-1.#IND", "1.#QNAN", "-1.#QNAN")
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}(?:[,.' ’]\d{3})+(?:[.,]\d*)?")
 _BLANKS = re.compile(rb"[ \t]+")
@@ -182,7 +183,8 @@ class TextFile(FormatFile[TextKeys]):
 
     @contextlib.contextmanager
     def _opened(self, wanted: list[str] | None) -> Iterator[arrow_csv.CSVStreamingReader]:
-        """Opens a reader of the columns `wanted`, by default all. A fault of the file becomes an `InstrumentError`."""
+        """Opens a reader of the columns `wanted`; if it is None, of all columns. Raises `InstrumentError` if the file cannot be
+        read."""
         import pyarrow as pa
         from pyarrow import csv as arrow_csv
 
@@ -240,8 +242,8 @@ class TextFile(FormatFile[TextKeys]):
         return None
 
     def _line_of(self, row: int) -> int | None:
-        """Returns the number of the line that contains a row; None if it cannot be counted. Lines with a wrong number of columns are
-        no rows."""
+        """Returns the number of the line that contains a row; None if it cannot be counted. Lines with a wrong number of columns do
+        not count as rows."""
         layout = self.parameters
         with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), self._lines() as lines:
             reader = csv.reader(lines, delimiter=layout.delimiter)

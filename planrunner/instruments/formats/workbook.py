@@ -148,7 +148,8 @@ class WorkbookFile(FormatFile[WorkbookKeys]):
             first += len(rows)
 
     def _sheet_rows(self) -> Iterator[tuple[int, Cells]]:
-        """Yields the rows of the sheet from the row with the names on, each with its number in the sheet, counted from 1."""
+        """Yields the rows of the sheet, beginning with the row of the column names. Each row has its number in the sheet, counted
+        from 1."""
         with open_workbook(self.path, self.name) as book:
             for number, cells in sheet_rows(_sheet(book, self.parameters.sheet, self.name), self.name):
                 if number > self.parameters.skip:
@@ -244,7 +245,7 @@ def _sheet(book: Book, wanted: str | None, name: str) -> Sheet:
 def sheet_rows(sheet: Sheet, name: str) -> Iterator[tuple[int, Cells]]:
     """Yields the rows of a sheet, each with its number, counted from 1. `name`: name of the file, used in messages. Raises
     `InstrumentError` if the sheet cannot be read."""
-    sheet.reset_dimensions()  # some programs state them wrongly
+    sheet.reset_dimensions()  # some programs write wrong dimensions
     rows = enumerate(sheet.iter_rows(values_only=True), start=1)
     while True:
         try:

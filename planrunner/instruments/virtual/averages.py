@@ -21,7 +21,7 @@ from planrunner.instruments.virtual.world import Components, World
 # Largest phase [rad] within an interval for which one, two and three quadrature points are sufficient. Over the phase h, their
 # errors are about h²/24, h⁴/4320 and h⁶/2016000 of the amplitude, each below 1e-12.
 _ONE_POINT, _TWO_POINTS, _THREE_POINTS = 4e-6, 8e-3, 0.1
-_TOGETHER = 2**14  # times that are worked at once: a short dwell costs as many calls as a long one
+_TOGETHER = 2**14  # times that are processed together
 _SNAP = 1e-6  # of an interval: a break nearer than this to a sample's end counts as there
 
 

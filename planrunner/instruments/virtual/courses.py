@@ -1,9 +1,8 @@
-"""Describes motions of virtual tables. A class derived from `Course` describes one kind of motion: it computes the joint angles and
-rates as functions of time.
+"""Describes motions of virtual tables. Each implementation of `Course` describes one kind of motion, and computes the joint angles
+and rates at given times.
 
-For an array of times after the start of the motion, it computes the angles and rates at these times. A motion can be stored as JSON
-data, so that a resumed run starts with the table in the same state. The angles of joints at rest are plain floats, so no arrays are
-computed if nothing moves.
+A motion can be stored as JSON data, so that a resumed run starts with the table in the same state. The angles of joints at rest are
+plain floats, so no arrays are computed if nothing moves.
 """
 
 from __future__ import annotations
@@ -170,7 +169,8 @@ class Rocking:
         return start >= self.over
 
     def stretches(self, begin: float, end: float) -> list[Stretch]:
-        # The sine, its fading, and the joints that carry one another; fading out while fading in may sum to both.
+        # The pace includes the sine, its fading, and the joints that carry one another. If the rocking fades out
+        # while it is still fading in, both rates may add up.
         circular = TURN * self.frequency
         pace = circular * (2 + 2 * self.amplitude * len(self.phases))
         breaks = [self.steady - 1 / self.frequency, self.steady, self.steady + self.duration, self.over]
@@ -276,8 +276,8 @@ def trapezoid(elapsed: Array, distance: Value, max_rate: float, acceleration: fl
 
 
 def _fade(elapsed: Array, period: float) -> tuple[Array, Array]:
-    """Returns a smooth step from 0 to 1 (half a cosine) that lasts one period, and its slope [1/s], each in the shape of the times
-    `elapsed` [s] since its start. `period`: this period, s."""
+    """Returns a smooth step from 0 to 1 (half a cosine wave), and its slope [1/s]. Both have the shape of `elapsed`. `elapsed`:
+    times since the start of the step, s. `period`: duration of the step, s."""
     phase = np.clip(elapsed / period, 0.0, 1.0) * math.pi
     return 0.5 * (1 - np.cos(phase)), 0.5 * math.pi / period * np.sin(phase)
 

@@ -1,7 +1,7 @@
 """The Earth under a simulated carrier: the WGS 84 ellipsoid and its normal gravity (NIMA TR8350.2, 2000).
 
 The length of the meridian follows from Helmert's series in the third flattening n; the omitted terms are of the order n⁵, 0.4 µm.
-Only the simulator uses these formulas: navigation has separate formulas, which tests compare with these.
+Only the simulator uses these formulas. Navigation has its own formulas, and tests compare the two.
 """
 
 from __future__ import annotations

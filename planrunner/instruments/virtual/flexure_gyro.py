@@ -177,8 +177,8 @@ class VirtualFlexureGyro(OnlyRead):
         return sampling.blocks(self.world, self.sampler(sampling, generator(self.world.seed, segment.index)))
 
     def sampler(self, sampling: Sampling, draw: np.random.Generator) -> Callable[[int, int], Block]:
-        """Returns a function that makes the samples of a sampling. Called with `first` and `length`, the function returns `length`
-        samples, starting with the sample number `first`. The function must be called for all samples, in order."""
+        """Returns a function that makes the samples of a sampling. This function takes `first` and `length`, and returns the
+        samples first … first + length − 1. The function must be called for all samples, in order."""
         for flicker in self.flicker.values():
             flicker.begin(sampling.start, draw)
         return lambda first, length: self._block(sampling.times(first, length), sampling, draw)
@@ -223,8 +223,8 @@ class VirtualFlexureGyro(OnlyRead):
         """Returns the torquer currents i_x, i_y [pulse/s] without noise at `times`: floats if the gyro is at rest, otherwise arrays
         (n,).
 
-        The currents are the solution of the balance of the rotor, two linear equations whose right-hand side is linear in the input
-        of the gyro.
+        The currents solve the two linear equations for the balance of the rotor. The right-hand side of these equations is linear
+        in the input of the gyro.
         """
         p = self.parameters
         rates, forces = self.world.stimulus(times)

@@ -47,7 +47,7 @@ REFERENCE = {
     "reference_velocity_north": "m/s",
 }
 MODES = ("powered", "unpowered")
-_SWITCH_ON = 1  # second part of the key of a generator: apart from those of segments, which have one part
+_SWITCH_ON = 1  # second part of the key of a generator; the keys of segments have only one part
 
 
 @dataclass(frozen=True, slots=True)

@@ -182,8 +182,8 @@ class AccelerometerErrors(ScaleErrors):
 
 
 class InputAxisDirection(Record):
-    """Declares the bench-file keys for the direction of an input axis in the sensor's frame: tilted by a fixture, or near an axis
-    of the frame."""
+    """Declares the bench-file keys for the direction of an input axis in the sensor's frame. The axis is tilted by a fixture, or is
+    close to an axis of the frame."""
 
     angle: Quantity | None = optional(
         QuantityOf("angle"), "True angle from the frame's z axis; with `azimuth`.", "54.7391 deg"

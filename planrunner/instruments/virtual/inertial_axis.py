@@ -32,7 +32,7 @@ from planrunner.instruments.virtual.imu_keys import (
 from planrunner.instruments.virtual.world import Components
 from planrunner.plan.units import unit
 
-WARM_UP_TIME = 600.0  # s, where nothing is said of it
+WARM_UP_TIME = 600.0  # s, the default
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,8 +48,8 @@ class Flicker:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Advances the processes to the time at which a segment starts, `time` [s], by the exact transition from the time that they
-        have reached."""
+        """Advances the processes to `time` [s], at which a segment starts. The advance is exact for any time since the last
+        call."""
         fresh = draw.standard_normal(OCTAVES) * self.deviation
         if self.state is None:
             self.state = fresh
@@ -132,8 +132,7 @@ class GaussMarkov:
         self.time = 0.0
 
     def begin(self, time: float, draw: np.random.Generator) -> None:
-        """Advances the bias to the time at which a segment starts, `time` [s], by the exact transition from the time that it has
-        reached."""
+        """Advances the bias to `time` [s], at which a segment starts. The advance is exact for any time since the last call."""
         fresh = self.sigma * draw.standard_normal()
         if self.value is None:
             self.value = fresh
@@ -194,8 +193,7 @@ class Readout:
     full_scale: float = math.inf
 
     def samples(self, draw: np.random.Generator, level: Array, length: int, hold: int) -> Array:
-        """Draws readings (length,) around `level`, which has either one value per sample, or fewer values, each of which applies to
-        `hold` samples.
+        """Draws readings (length,) around `level`, which has one value for each sample, or one value for every `hold` samples.
 
         The readings are computed in pieces that fit the processor's cache, because a pass through memory takes as long as drawing
         the noise.

@@ -92,7 +92,7 @@ ACCELEROMETERS = ("accel_x", "accel_y", "accel_z")
 GIMBALS = ("gimbal_outer", "gimbal_middle", "gimbal_inner")
 RINGS = ("table_outer", "table_middle", "table_inner")
 RANGES = {"1.25 g": 1.25, "20 g": 20.0}
-BLOCK = 10_000  # samples; a dozen matrices a sample stand in memory
+BLOCK = 10_000  # samples; about a dozen matrices per sample are kept in memory
 
 
 class VirtualPlatform:
@@ -206,8 +206,9 @@ class VirtualPlatform:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
-        """Returns the random generator for one caging; number 0 stands for the platform as built. This generator is independent of
-        the generators of the segments. `what`: number of the purpose for which random numbers are drawn."""
+        """Returns the random generator for one caging. The number 0 is used for properties that never change, such as the biases.
+        This generator is independent of the generators of the segments. `what`: number of the purpose for which random numbers are
+        drawn."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )

@@ -1,10 +1,11 @@
 """Computes the position and motion of a simulated carrier along its track on the Earth, and the inertial rate and specific force of
 a level bench on the carrier.
 
-The carrier does not change its height. There are two kinds of tracks, both exact. One is a line of constant heading over the
-ellipsoid; distances are measured along the ellipsoid. On the other, the normal of the ellipsoid moves along a great circle;
-distances are those on a sphere with the Earth's mean radius. Velocity, acceleration, Earth rate and transport rate are computed
-from latitude and longitude by differentiation with respect to time, in closed form.
+The carrier does not change its height. There are two kinds of tracks, and both are computed exactly. A track of the first kind is a
+line of constant heading on the ellipsoid, and its length is measured along the ellipsoid. On a track of the second kind, the normal
+of the ellipsoid moves along a great circle, and the length is measured on a sphere with the Earth's mean radius. Velocity,
+acceleration, Earth rate and transport rate are computed from latitude and longitude by differentiation with respect to time, in
+closed form.
 """
 
 from __future__ import annotations
@@ -191,8 +192,8 @@ class Track:
         )
 
     def _great_circle_axes(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Returns the ellipsoid's normal n₀ at the start and the direction d₀ in which it moves; longitudes are measured from the
-        start."""
+        """Returns the ellipsoid's normal n₀ at the start and the direction d₀ in which this normal moves; longitudes are measured
+        from the start."""
         sine, cosine = math.sin(self.latitude), math.cos(self.latitude)
         north, east = math.cos(self.heading), math.sin(self.heading)
         return (cosine, 0.0, sine), (-sine * north, east, cosine * north)

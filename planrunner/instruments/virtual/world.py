@@ -1,8 +1,8 @@
 """Simulates the surroundings of the sensor: attitude of the table, temperatures, and input of the sensor at any time.
 
 The surroundings depend only on the last command and the time since this command, not on the number of queries. A resumed run is
-therefore identical, to the bit, to an uninterrupted one. The virtual table and the virtual chamber change this state; the virtual
-sensor reads it.
+therefore bit-identical to an uninterrupted run. The virtual table and the virtual chamber change this state; the virtual sensor
+reads it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planrunner.physics.kinematics import TableAxis
 
 Components = tuple[Value, Value, Value]
 ROOM = 298.15  # K
-_SHORT = 1e-3  # s; a lag too short to be felt
+_SHORT = 1e-3  # s; a lag that is too short to have an effect
 
 
 @dataclass(slots=True)
@@ -82,7 +82,8 @@ class World:
         """Returns the inertial rate [rad/s] and the specific force [m/s^2] along the axes of the sensor at `times`; floats if
         nothing moves.
 
-        Vectors of the site are transformed inwards axis by axis, v ← R(−q)·v; each joint adds its own rate along its axis.
+        Vectors of the site are transformed from axis to axis, beginning with the outermost axis: v ← R(−q)·v. Each joint adds its
+        own rate along its axis.
         """
         rate, force = (self._towards_the_table(vector) for vector in self._of_the_bench(times))
         for axis, (angle, turning) in zip(self.axes, self.course.follow(times), strict=True):
