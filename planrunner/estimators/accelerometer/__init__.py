@@ -1,2 +1,2 @@
-"""Calibrates accelerometer triads at rest in several positions. Either the orientations are known, or only the magnitude of
-gravity."""
+"""Calibrates accelerometer triads at rest in several positions. The reference is gravity in known orientations, or only the
+magnitude of gravity."""

@@ -2,7 +2,7 @@
 
 Two references are available:
 
-    orientation         the attitudes are known (a table, a dividing head): a straight line in gravity's components for each axis
+    orientation         the attitudes are known (a table, a dividing head): a linear fit to the components of gravity for each axis
     gravity_magnitude   the attitudes are unknown (tumbled by hand): nine parameters from |f| = g alone
 """
 

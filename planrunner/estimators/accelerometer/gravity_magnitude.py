@@ -70,7 +70,7 @@ def fit_magnitude(readings: Array, gravity: float) -> GravityFit:
 
 
 def too_few(count: int) -> str:
-    """Returns a message which says that there are fewer poses than parameters."""
+    """Returns the message that there are fewer poses than parameters."""
     return f"{count_of(count, 'pose')} cannot determine {len(NAMES)} parameters"
 
 
@@ -89,7 +89,7 @@ def _linearise(readings: Array, values: Array, gravity: float) -> tuple[Array, A
     `NAMES`. `gravity`: local gravity, m/s²."""
     size = _magnitude(readings[..., None], values[:, None])[:, 0]
     slopes = jacobian(lambda changed: _magnitude(readings[..., None], changed), values)
-    # A residual follows the readings of its own pose alone, so that all poses' readings along an axis change at once.
+    # A residual depends only on the readings of its own pose, so the readings of all poses are changed together.
     by_reading = jacobian(lambda by: _magnitude(readings[..., None] + by, values[:, None]), np.zeros(3))
     return size - gravity, slopes, by_reading
 

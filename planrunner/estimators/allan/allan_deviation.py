@@ -61,9 +61,9 @@ WORDS = {
     "B": said("bias instability: the flat part is at 0.664·B"),
     "K": said("random walk of the output: K²·τ/3"),
 }
-_FLOOR_FREEDOM = 10.0  # of an Allan deviation that is named as the lowest
+_FLOOR_FREEDOM = 10.0  # fewest degrees of freedom of the Allan deviation that is reported as the lowest
 _SIGNIFICANT = 2.0  # standard uncertainties of a squared coefficient from zero
-_SEEN = 2**14  # phase points in which a count is sought
+_SEEN = 2**14  # phase points from which a count is determined
 _NAMED = 3  # lines in a sentence
 
 

@@ -42,7 +42,7 @@ def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None
 
     `before`: the exponent found at the next shorter averaging time. The function returns `before` if the exponent of the averages
     differs from `before` by at most half a step plus two standard deviations. The reason is that few averages are not reliable:
-    from thirty averages alone, white noise would be mistaken for a neighbouring type one time in four.
+    from thirty averages alone, white noise would be mistaken for a neighbouring type in one of four cases.
     """
     averages, count = [], 0
     for run in runs:

@@ -4,7 +4,7 @@ A record may contain more than noise. A filter or a periodic disturbance changes
 changes the deviations at long averaging times; a steady drift looks like a random walk. The first fit uses all averaging times. If
 some averaging times contradict the model, averaging times are omitted at the ends of the range, but as few as possible. Allan
 variances cannot distinguish a random walk from a drift. If they show one of the two, Hadamard variances are fitted instead. The
-coefficients are then right for a random walk as well as for a drift, and only slightly less certain.
+coefficients are then valid both for a random walk and for a drift, and are only slightly less certain.
 
 A record has a steady drift if its noise does not explain the difference between the means of the two halves of a run. These means
 differ by the drift during half the run, and by noise. The variance of this noise is twice the Allan variance at an averaging time
@@ -28,16 +28,16 @@ from planrunner.estimators.allan.fit import ALLAN, HADAMARD, TERMS, NoiseFit, co
 from planrunner.estimators.allan.phase import Phase
 from planrunner.estimators.allan.table import Deviation
 
-_DOUBT = 0.01  # probability of a χ² at least this large, below which the model is refused
+_DOUBT = 0.01  # p-value of χ² below which the model is rejected
 _BELIEF = 0.2
 """The limit that replaces `_DOUBT` in the search for a range of averaging times. With `_DOUBT` as the limit, the search would stop
 at a range that is still distorted. The value is not derived; it was chosen with two simulated records in which rounding errors are
 carried over to the next sample. In these records, with a limit of 0.01, the coefficient N was wrong by 1 to 2 standard
 uncertainties."""
 _NEGATIVE = 4.0  # standard uncertainties by which a square may be negative by chance
-_SPARE = 2  # averaging times more than terms that a range needs
-_NEGLIGIBLE = 0.1  # of the standard deviation of a variance: the effect of correlated rounding errors is not larger
-_CHANCE = 1e-3  # probability, by noise alone, of a difference between halves, below which a drift is present
+_SPARE = 2  # a range has at least this number of averaging times more than terms
+_NEGLIGIBLE = 0.1  # of the standard deviation of a variance: largest permitted effect of correlated rounding errors
+_CHANCE = 1e-3  # p-value of the difference between halves below which a drift is present
 _QUANTISED, _WHITE, _WALK = TERMS.index("Q"), TERMS.index("N"), TERMS.index("K")
 
 
@@ -62,10 +62,10 @@ class DescribedRange:
 
     `fitted`: the deviations to which `fit` was fitted; these are Hadamard deviations if `drift` is given. `shorter`, `longer`:
     number of averaging times omitted at the short and at the long end. `distortions`: array of shape (r, 4). Each row belongs to
-    one shortened end. It contains the change of the squared coefficients, beyond chance, if one more averaging time is omitted at
-    this end. `rounded`: number of averaging times omitted in advance, because rounding errors are correlated; they are part of
-    `shorter`. `fits`: True if the model describes the remaining averaging times. `probability`: if the model is right, the
-    probability of a χ² at least as large as the χ² found.
+    one shortened end. If one more averaging time is omitted at this end, the squared coefficients change; the row contains the part
+    of this change that chance does not explain. `rounded`: number of averaging times omitted in advance, because rounding errors
+    are correlated; they are part of `shorter`. `fits`: True if the model describes the remaining averaging times. `probability`: if
+    the model is right, the probability of a χ² at least as large as the χ² found.
     """
 
     fit: NoiseFit
@@ -81,7 +81,7 @@ class DescribedRange:
         """Returns the covariance of the squared coefficients, shape (4, 4). It includes possible effects of the omitted averaging
         times.
 
-        The end of the range was chosen by the same deviations that are fitted. The cause that changed the omitted deviations also
+        The end of the range was chosen with the same deviations that are fitted. The cause that changed the omitted deviations also
         changes the neighbouring deviations, but by less than the χ² test can show. The resulting distortion of the coefficients is
         estimated: it is the change of the coefficients if one more averaging time is omitted, minus the part of this change that
         chance explains. The distortion counts as a systematic error that is not corrected (JCGM 100:2008, F.2.4.5)."""

@@ -17,7 +17,7 @@ from planrunner.base.arrays import Array, Integers
 from planrunner.base.compiled import compiled
 
 PIECE = 2048  # phase points, 16 kB: a few dozen of them stay in a core's second-level cache
-SHARED = 2**19  # phase points from which waking the other cores pays
+SHARED = 2**19  # phase points from which a computation on several cores is faster
 
 
 @compiled()

@@ -2,8 +2,8 @@
 
 A periodic disturbance is a line in the spectrum. Its Allan variance is A²·sin⁴(πfτ)/(πfτ)² (IEEE Std 952, annex C), which no
 mixture of the four kinds of noise describes. A line with a constant frequency, amplitude and phase is determined far more
-accurately than the noise. Therefore, its subtraction hardly changes the noise: it takes up only three of the n degrees of freedom
-of n samples.
+accurately than the noise. Therefore, the subtraction of a line hardly changes the noise: a line uses only three of the n degrees of
+freedom of n samples.
 
 A value of the periodogram counts as a line if noise alone would exceed it only with the probability `CHANCE`. The level of the
 noise is the median of the neighbouring values (exponential distribution: median = mean·ln 2). A vibration whose frequency or

@@ -46,8 +46,8 @@ def planned_record(request: DesignRequest[object]) -> PlannedRecord | None:
 
 def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: float, name: str) -> Integers:
     """Returns the averaging factors to use, as an array. The factors belong to the times in `taus` that fit at least twice into the
-    longest run. If `taus` is empty, they are octaves. `lengths`: number of phase points of each run. `interval`: time between phase
-    points, s. Raises `EstimationError` if there is no such factor."""
+    longest run. If `taus` is empty, the factors are octaves. `lengths`: number of phase points of each run. `interval`: time
+    between phase points, s. Raises `EstimationError` if there is no such factor."""
     if not taus:
         return octave_factors(lengths)
     wanted = np.unique([max(1, round(tau.value / interval)) for tau in taus]).astype(np.int64)

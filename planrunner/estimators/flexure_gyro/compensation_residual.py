@@ -106,8 +106,8 @@ class CompensationResidual:
         return Design((), (*notes, _CLAIM), {"ratios": ratios})
 
     def foresee(self, request: DesignRequest[CompensationResidualParameters]) -> Foresight:
-        """Gives the names of the coefficients, but predicts no values: a sum of only a few squared residuals has a standard
-        deviation about as large as its expected value. The notes give the expected ratio of the sums."""
+        """Gives the names of the coefficients. No values are predicted, because the sum of only a few squared residuals has a
+        standard deviation about as large as its expected value. The notes give the expected ratio of the sums."""
         first, *others = request.uses
         why = "the noise of a few verification positions determines it"
         named = [*map(_sum, request.uses), *(_ratio(name, first) for name in others)]

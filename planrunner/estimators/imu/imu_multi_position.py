@@ -156,10 +156,10 @@ class ImuMultiPosition(Method[ImuMultiPositionParameters, ImuQuantities]):
         drifts = [one.fit.drift for one in triads]
         shown = {course.name for drift in drifts if drift.by_evidence for course in drift.courses}
         if shown and len(triads) > 1:
-            # What drifts in one triad drifts in the other too, even where this triad alone does not show it.
+            # A drift that one triad shows is fitted to the other triad as well.
             triads = tuple(_fit(request, *one, shown) for one in _triads(parameters))
         made = calibration([_response(one) for one in triads], parameters.misalignment == "lower_triangular")
-        # The triads' noise is taken for independent.
+        # The noise of the triads is assumed to be independent.
         found = derived(made.quantities, made.formula, *(one.fit for one in triads))
         coefficients = found.coefficients(basis)
         return ImuQuantities(

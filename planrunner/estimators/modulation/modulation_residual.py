@@ -38,7 +38,7 @@ from planrunner.plan.quantity import Quantity
 from planrunner.plan.schedule import Segment
 
 _AMPLITUDE = "modulation_{}"
-LONGEST = 4 * 86400.0  # s, of a planned navigation that errors are predicted for
+LONGEST = 4 * 86400.0  # s, longest planned navigation whose errors are predicted
 
 
 class ModulationResidualParameters(Record):
@@ -139,8 +139,8 @@ class ModulationResidual:
 
 
 def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | None:
-    """Returns an error if the key `segments` lacks a segment of one of the navigations. Returns None if none is missing, or if this
-    cannot be seen from the designs of the used estimates."""
+    """Returns an error if the key `segments` lacks a segment of one of the navigations. Returns None if no segment is missing, or
+    if the designs of the used estimates do not contain the labels of the segments."""
     told = {name: used.extra for name, used in request.uses.items() if used is not None and "navigated" in used.extra}
     if len(told) < len(request.uses):
         return None

@@ -21,7 +21,7 @@ from planrunner.physics.earth import Site
 from planrunner.physics.modulation import forced_velocity
 from planrunner.physics.rotation_cycle import RotationCycle
 
-STEP = 20.0  # s, over which a mean drives the equations
+STEP = 20.0  # s, step of the equations, over which their inputs are averaged
 _FINE = 40  # angles in each step
 
 

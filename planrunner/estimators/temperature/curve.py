@@ -43,7 +43,7 @@ FORMS = ("polynomial", "spline")
 FEWEST = 3  # temperatures from which an order can be chosen
 RULES = ("one_standard_error", "smallest_error")
 _FREE = 1e-6  # of the size of columns: less is rounding
-_RESIDUALS = 2  # at least, beside all coefficients and ramps
+_RESIDUALS = 2  # fewest degrees of freedom that remain after all coefficients and ramps
 _EXACT, _TINY = (
     1e-24,
     1e-300,
@@ -159,8 +159,8 @@ def chosen(errors: Sequence[HeldOut], rule: str) -> HeldOut:
 
 def fold_of(group: Integers, folds: int) -> Integers:
     """Returns the index of the fold in which each group of temperatures is held out. If `folds` is 0, each group is a separate
-    fold. Otherwise there are `folds` folds, which are adjoining ranges of temperature. Neighbouring temperatures, which share a
-    slow drift, are then held out together and do not predict each other."""
+    fold. Otherwise there are `folds` folds, which are adjacent ranges of temperature. Neighbouring temperatures, which share a slow
+    drift, are then held out together and do not predict each other."""
     return group if folds == 0 else group * folds // (int(group.max()) + 1)
 
 
@@ -295,11 +295,11 @@ class OverTemperature:
 
     `temperature`: array of shape (n,) in degC. `sigma`: array of shape (n,), standard uncertainties for the weights. `group`: array
     of shape (n,), number of the temperature at which each value was measured; values at the same temperature have equal numbers.
-    `series`: array of shape (n,), index of the ramp along which the value is one of a series; −1 for a single value. `ramp`: array
-    of shape (n,), index of the ramp or sweep whose values have a common offset; −1 if there is none. `direction`: array of shape
-    (n,), +1 on a rising ramp, −1 on a falling ramp. `beside`: array of shape (n, q), columns that are fitted together with the
-    curve. `covariance`: array of shape (n, n), covariance of the values if they are correlated. In this case, `sigma` describes
-    only the uncorrelated part.
+    `series`: array of shape (n,), index of the ramp on which the value was measured, if this ramp gives a series of values; −1 for
+    a single value. `ramp`: array of shape (n,), index of the ramp or sweep whose values have a common offset; −1 if there is none.
+    `direction`: array of shape (n,), +1 on a rising ramp, −1 on a falling ramp. `beside`: array of shape (n, q), columns that are
+    fitted together with the curve. `covariance`: array of shape (n, n), covariance of the values if they are correlated. In this
+    case, `sigma` describes only the uncorrelated part.
     """
 
     temperature: Array
@@ -430,8 +430,8 @@ class _Way:
 
 def _ways(columns: Array, values: OverTemperature) -> list[_Way]:
     """Returns the possible differences between ramps of one direction: in their offset and, if values follow each other along
-    ramps, in their slope. A difference is used only if the values determine both it and the fitted columns, and if at least two
-    residuals remain."""
+    ramps, in their slope. A difference is used only if the values determine both the difference and the fitted columns, and if at
+    least two residuals remain."""
     numbers, first = np.unique(values.ramp[values.ramp >= 0], return_index=True)
     senses = values.direction[values.ramp >= 0][first]
     each = (values.ramp[:, None] == numbers).astype(float)

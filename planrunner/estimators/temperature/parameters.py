@@ -1,5 +1,5 @@
 """Declares the plan keys for coefficients as functions of temperature, and makes the checks that are possible before a recording.
-The checks ask whether the plan has enough temperatures for a curve, and whether the requested coefficients exist.
+The checks determine whether the plan has enough temperatures for a curve, and whether the requested coefficients exist.
 """
 
 from __future__ import annotations

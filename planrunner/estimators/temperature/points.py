@@ -24,10 +24,10 @@ from planrunner.plan.units import DIMENSIONS, ZERO_CELSIUS, UnknownUnitError, un
 from planrunner.uncertainty.influences import Aspect, Inputs
 from planrunner.uncertainty.monte_carlo import square_root
 
-_LEAST_IN_BIN = 3  # samples that a scatter about a line can be taken from
-_PIECES = 4096  # of a segment, whose mean temperatures show where it turns
+_LEAST_IN_BIN = 3  # fewest samples in a bin from which a scatter about a line is computed
+_PIECES = 4096  # most pieces of a segment, whose mean temperatures show the turning points
 _IN_PIECE = 4  # samples at least
-_INTERVALS = 512  # of all segments together, whose flicker is correlated with one another's
+_INTERVALS = 512  # intervals of all segments together, for the correlation of flicker
 _FEWEST_INTERVALS = 8  # of each segment
 
 
@@ -42,7 +42,8 @@ class Points:
     follow each other along ramps. `expected`: True if the values are expected values of a schedule, which have no scatter.
     `covariance`: array of shape (n, n), covariance of the values, which includes the flicker that the bench declares; None if no
     flicker is declared, or if the uncertainties are not known. `time`: array of shape (n,) in s, the mean time of each value; empty
-    if the times are not known.
+    if the times are not known. `freedom`: degrees of freedom of the uncertainties. `unstated`: array of shape (n, r), a matrix L
+    for which L·Lᵀ is the covariance due to flicker with B = 1; None unless the bench file states no flicker.
     """
 
     name: str
@@ -136,8 +137,9 @@ def from_channels(
 ) -> list[Points]:
     """Computes the means of channels at different temperatures. If there is a thermometer, the samples of a ramp are divided into
     temperature bins of width `width` [K], and a value is the mean of the samples in one bin. Without a thermometer, a value is the
-    mean of a segment at its planned temperature. `inputs`: contain the declared flicker. `span`: the time over which a constant
-    error is defined as an average, s. Raises `EstimationError` for channels that are missing or unsuitable."""
+    mean of a segment at its planned temperature. `inputs`: the stated inputs, among them the declared flicker. `span`: the time
+    over which a constant error is defined as an average, s. Raises `EstimationError` for channels that are missing or
+    unsuitable."""
     for recorded in segments:
         for channel in (*channels, *([thermometer] if thermometer else [])):
             if channel not in recorded.units:

@@ -46,9 +46,9 @@ from planrunner.uncertainty.influences import Influence
 
 _SHOWN = 9  # temperatures of the table of predictions
 _DRAWN = 61
-_RESIDUALS = 2  # at least, beside the coefficients of a difference between rising and falling temperature
+_RESIDUALS = 2  # fewest residuals that remain after the difference between rising and falling temperature is fitted
 _SENSES = {1: "rising", -1: "falling", 0: ""}
-_SEPARABLE = 1e-3  # of a drift, the part that the model cannot imitate: less comes from the division of ramps into bins
+_SEPARABLE = 1e-3  # smallest fraction of a drift that the model must not reproduce; less results from the bins of ramps
 _MANY = 1e6  # degrees of freedom; the plural is the same for all larger numbers, and for infinity
 _WIDEST = 150.0  # K; a width written in degC comes out larger
 
