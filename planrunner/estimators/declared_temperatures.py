@@ -185,6 +185,6 @@ def contradictions(found: ThermometerReadings) -> tuple[Said, ...]:
 
 
 def _contradicts(slope: float) -> bool:
-    """Returns True if the readings change more than the planned temperature, or in the opposite direction. An oven keeps the readings
-    constant, and an incomplete soak makes their change smaller."""
+    """Returns True if the readings change more than the planned temperature, or in the opposite direction. `slope`: result of
+    `ThermometerReadings.slope`. An oven keeps the readings constant, and an incomplete soak makes their change smaller."""
     return slope > 1 + LARGEST_DEVIATION or slope < -LARGEST_DEVIATION

@@ -79,8 +79,8 @@ class ErrorEquations:
         return np.asarray((covariance + covariance.T) / 2)
 
     def covariances(self, start: Array, density: Array, seconds: float, count: int) -> Iterator[Array]:
-        """Yields the covariance (7, 7) after 1, 2 … `count` intervals of `seconds`; `start` is the covariance before the first
-        interval."""
+        """Yields the covariance (7, 7) after 1, 2 … `count` intervals of `seconds`. `start`: array of shape (7, 7), covariance
+        before the first interval. `density`: the same as in `noise`."""
         transition, added = self.step(seconds)[0], self.noise(density, seconds)
         covariance = start
         for _ in range(count):

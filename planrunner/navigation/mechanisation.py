@@ -55,8 +55,9 @@ class Navigator:
         """`quaternion`: array of shape (4,), scalar first, from body axes to East-North-Up. `velocity`: array of shape (3,) in m/s,
         initial velocity east, north and up. `position`: initial latitude and longitude [rad] and height [m]. `vertical`: `held`,
         `damped` or `free`; `held` means that height and vertical velocity keep their values. `gravity_factor`: factor on normal
-        gravity. `every`: number of steps between two output points (knots). `last`: array of shape (6,), the increments of the
-        interval before the first step, for coning and sculling; None means zeros."""
+        gravity. `earth_rate`: rotation rate of the Earth, rad/s. `every`: number of steps between two output points (knots).
+        `last`: array of shape (6,), the increments of the interval before the first step, for coning and sculling; None means
+        zeros."""
         from planrunner.navigation import kernel
 
         self._kernel = kernel

@@ -174,7 +174,7 @@ class _Run:
 
 @dataclass(frozen=True, slots=True)
 class _Last:
-    """The last sample of a channel before the samples that are examined now."""
+    """The last sample of a channel before the samples that are examined now: its row, its time [s] and its value."""
 
     row: int
     time: float

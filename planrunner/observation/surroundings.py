@@ -56,7 +56,7 @@ def temperature_of(item: RecordedSegment, time: Array, kelvin: Array | None) -> 
 
 def smoothed(time: Array, values: Array) -> Temperature:
     """Fits a polynomial to the temperatures `values` (n,) of a segment, so that the noise of the thermometer does not influence
-    effects of temperature. Returns the polynomial and its derivative at the samples.
+    effects of temperature. Returns the polynomial and its derivative at the samples. `time`: array of shape (n,), s.
 
     The number of coefficients is chosen so that twice the log likelihood, minus `_WORTH` for each coefficient, is largest. A
     constant temperature needs one coefficient; an approach to a setpoint needs several.

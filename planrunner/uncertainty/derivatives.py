@@ -36,7 +36,8 @@ def value_and_jacobian(formula: Formula, at: Array) -> tuple[Array, Array]:
 
 
 def central(function: Callable[[float], Array], step: float) -> Array:
-    """Returns the derivative ∂function/∂x at x = 0, in the shape of the function's values. Calls the function twice."""
+    """Returns the derivative ∂function/∂x at x = 0, in the shape of the function's values. Calls the function twice, at ±
+    `step`."""
     return np.asarray((function(step) - function(-step)) / (2 * step))
 
 

@@ -91,8 +91,9 @@ def propagate(
     standard deviation and the two ends of the interval.
 
     `tolerances`: array of shape (m,), numerical tolerance of the results of each coefficient, in the unit of the coefficient.
-    `heavy`: array of shape (m,), True for coefficients whose standard deviation need not stabilise. `workers`: processes that share
-    the blocks; with the same seed, the results are identical for any number of workers.
+    `probability`: coverage probability of the interval. `heavy`: array of shape (m,), True for coefficients whose standard
+    deviation need not stabilise. `workers`: processes that share the blocks; with the same seed, the results are identical for any
+    number of workers.
     """
     limit = np.asarray(tolerances, dtype=float)
     light = ~np.asarray(heavy, dtype=bool) if len(heavy) else np.ones(len(limit), dtype=bool)
@@ -147,7 +148,8 @@ def numerical_tolerance(standard_uncertainty: float, digits: int) -> float:
 
 
 def validate(value: float, expanded: float, found: Interval, tolerance: float) -> Validation:
-    """Compares the interval value ± expanded with the probabilistically symmetric interval of Monte Carlo (JCGM 101:2008, 8.1)."""
+    """Compares the interval value ± expanded with the probabilistically symmetric interval of Monte Carlo (JCGM 101:2008, 8.1).
+    `tolerance`: the tolerance δ, in the unit of the value."""
     return Validation(abs(value - expanded - found.low), abs(value + expanded - found.high), tolerance)
 
 

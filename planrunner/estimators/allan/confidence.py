@@ -164,8 +164,8 @@ def _integrated(t: Array, alpha: int) -> Array:
 
 
 def interval(deviation: float, freedom: float, probability: float) -> tuple[float, float]:
-    """Returns the two-sided confidence interval of a deviation. The square of the deviation follows a χ² distribution with
-    `freedom` degrees of freedom."""
+    """Returns the two-sided confidence interval of a deviation, with the confidence level `probability`. The square of the
+    deviation follows a χ² distribution with `freedom` degrees of freedom."""
     from scipy.special import chdtri
 
     low = deviation * math.sqrt(freedom / float(chdtri(freedom, (1 - probability) / 2)))

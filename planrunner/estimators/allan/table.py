@@ -20,9 +20,10 @@ KINDS = ("overlapping", "modified", "hadamard")
 class Deviation:
     """The deviation at one averaging time.
 
-    `kind`: one of `KINDS`. `factor`: averaging factor m. `tau`: averaging time, s. `terms`: number of terms in the sum. `alpha`:
-    noise exponent for which the degrees of freedom were computed. `carried`: True if alpha was adopted from a shorter averaging
-    time. `low`, `high`: limits of the confidence interval.
+    `kind`: one of `KINDS`. `factor`: averaging factor m. `tau`: averaging time, s. `terms`: number of terms in the sum. `value`:
+    the deviation, in the output's unit. `freedom`: its equivalent degrees of freedom. `alpha`: noise exponent for which the degrees
+    of freedom were computed. `carried`: True if alpha was adopted from a shorter averaging time. `low`, `high`: limits of the
+    confidence interval.
     """
 
     kind: str
@@ -46,7 +47,8 @@ def octave_factors(lengths: Integers) -> Integers:
 
 
 def deviations(phase: Phase, kind: str, factors: Integers, probability: float) -> list[Deviation]:
-    """Computes the deviations of one kind, in the output's unit. Averaging factors for which the record is too short are left out."""
+    """Computes the deviations of one kind, in the output's unit. `probability`: confidence level of the intervals. Averaging
+    factors for which the record is too short are left out."""
     order = 3 if kind == "hadamard" else 2
     span = 3 if kind in ("hadamard", "modified") else 2
     lengths = phase.lengths

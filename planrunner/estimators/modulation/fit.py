@@ -69,8 +69,8 @@ def largest(orders: NDArray[np.int_], parts: Complex) -> float:
 def periodic_part(time: Array, velocity: Complex, period: float, highest: int, site: Site) -> PeriodicPart:
     """Separates the part of a velocity error that repeats with the rotation cycle.
 
-    `time`: array of shape (n,) in s, evenly spaced, starting when a cycle starts. `velocity`: array of shape (n,) in m/s.
-    `highest`: the highest harmonic to fit.
+    `time`: array of shape (n,) in s, evenly spaced, starting when a cycle starts. `velocity`: array of shape (n,) in m/s. `period`:
+    period of the cycle, s. `highest`: the highest harmonic to fit.
 
     Raises `TooLittleError` if the record does not determine this part.
     """

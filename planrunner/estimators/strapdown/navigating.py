@@ -149,9 +149,9 @@ class Navigated:
 
     `site`: the point on the Earth at which the navigation starts. `final`: array of shape (4,), east and north errors of position
     [m] and of velocity [m/s] at the end. `seconds`: duration of the navigation, s. `start`: time at which the navigation begins, s.
-    `gap`: time without samples after the alignment, s. `wandering`: response of the navigation to biases that change over time.
-    `opposed`: indices of the gyros that seem to have the wrong sign. `drift`: what the stops show about a drift; None if the stops
-    cannot show a drift, or if the carrier moves.
+    `gap`: time without samples after the alignment, s. `bridged`: number of missing samples that were filled in. `wandering`:
+    response of the navigation to biases that change over time. `opposed`: indices of the gyros that seem to have the wrong sign.
+    `drift`: what the stops show about a drift; None if the stops cannot show a drift, or if the carrier moves.
     """
 
     site: Site

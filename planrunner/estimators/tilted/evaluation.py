@@ -53,12 +53,12 @@ class TiltedConditions:
 class Group:
     """Contains the data of n rates at one temperature; each rate is repeated q times. The recording has N segments and m axes.
 
-    `kelvin`: measured or planned temperature, K; NaN if neither is known. `spins`: array of shape (q, n), index of the segment of
-    each repeat and rate. `rest`: array of shape (q, N), one row of weights for each repeat. The weighted sum of the segment means
-    is the output at rest in this repeat, which is the mean of the average zeros before and after the rates. `between`: array of
-    shape (q, N), weights with which the weighted sum of the segment means is the zero after the rates minus the zero before the
-    rates. `outputs`: array of shape (q, n, m), the output at each rate minus the output at rest, F_j − F_r. `drift`: array of shape
-    (q, m), the zero after the rates minus the zero before the rates.
+    `kelvin`: measured or planned temperature, K; NaN if neither is known. `rates`: array of shape (n,) in rad/s, rates of the
+    table. `spins`: array of shape (q, n), index of the segment of each repeat and rate. `rest`: array of shape (q, N), one row of
+    weights for each repeat. The weighted sum of the segment means is the output at rest in this repeat, which is the mean of the
+    average zeros before and after the rates. `between`: array of shape (q, N), weights with which the weighted sum of the segment
+    means is the zero after the rates minus the zero before the rates. `outputs`: array of shape (q, n, m), the output at each rate
+    minus the output at rest, F_j − F_r. `drift`: array of shape (q, m), the zero after the rates minus the zero before the rates.
     """
 
     label: str

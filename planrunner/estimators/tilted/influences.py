@@ -45,10 +45,11 @@ class Situation:
     """Contains the data from which the influences are computed.
 
     `answers`: for each group (the rates at one temperature), the sensitivities of the group's quantities to the outputs at its
-    rates, shape (n, m, 5). `gradient`: derivatives of `TiltedResults.vector` with respect to the means of all groups. `segments`:
-    the segments with their attitude at the start of the recording. `seconds`: recorded durations of the segments, s. `home`: the
-    home orientation in words. `units`: units of the outputs. `fixture`: influences on the angles of the m axes [rad], if these
-    angles come from a calibration instead of the plan; otherwise empty.
+    rates, shape (n, m, 5). `gradient`: derivatives of `TiltedResults.vector` with respect to the means of all groups. `reference`:
+    index of the group at the reference temperature. `segments`: the segments with their attitude at the start of the recording.
+    `seconds`: recorded durations of the segments, s. `home`: the home orientation in words. `units`: units of the outputs.
+    `fixture`: influences on the angles of the m axes [rad], if these angles come from a calibration instead of the plan; otherwise
+    empty.
     """
 
     groups: tuple[Group, ...]

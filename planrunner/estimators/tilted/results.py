@@ -52,7 +52,8 @@ HEADLINE = ("K", "temperature_coefficient", "nonlinearity", "asymmetry", "repeat
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """Describes one reported result: its index in `TiltedResults.vector`, and the factor that converts it to `unit`."""
+    """Describes one reported result. `at`: its index in `TiltedResults.vector`. `factor`: the factor that converts it to `unit`.
+    `reference`: True for a result at the reference temperature, and for a result over all temperatures."""
 
     at: int
     quantity: str

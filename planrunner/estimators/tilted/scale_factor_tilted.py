@@ -83,7 +83,7 @@ class TiltedQuantities(Quantities):
     `kept`: labels of the segments in complete series. `units`: for each axis, the unit of the rate and the unit of the output.
     `scatter`: type A uncertainty on the chosen basis. `within`: type A uncertainty from the noise within the segments alone.
     `acting`: influences of declared inputs on the results, in the order of `TiltedResults.vector`. `doubts`: warnings about series
-    that are left out, and about zeros that drift too much.
+    that are left out, and about zeros that drift too much. `calibrated`: True if the angles of the fixture come from a calibration.
     """
 
     situation: Situation
