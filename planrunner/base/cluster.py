@@ -50,8 +50,8 @@ _TASK_LASTS = 1.0
 """Intended duration of a task of several items, s. The transfer of a task takes about 10 ms of processor time of the command and
 the scheduler. Workers on the same machine lose this time."""
 _SHARES_LEFT = 2
-"""Minimum number of tasks, for each thread of a worker, into which the remaining items are divided. Small tasks at the end keep the
-other workers from waiting long for the last one."""
+"""Minimum number of tasks, for each thread of a worker, into which the remaining items are divided. With small tasks at the end,
+the other workers do not wait long for the last task."""
 _MOST_OF_A_TASK = 512
 _ONE_AT_A_TIME = Lock()
 _COMPARED = ("numpy", "scipy", "numba", "pyarrow")

@@ -1,4 +1,4 @@
-"""Provides a decorator `dataclass` as in the standard library, but classes are created four times as fast.
+"""Provides the decorator `dataclass` of the standard library in a version that creates classes four times as fast.
 
 Reading and checking a plan needs about 180 record classes. The standard library compiles six functions for each class; this took a
 third of the time of `check`. This module compiles only `__init__`, and classes with the same form of `__init__` share one compiled
@@ -20,8 +20,8 @@ from types import CodeType, FunctionType, MemberDescriptorType
 from typing import TYPE_CHECKING, Any
 
 WRITTEN = ("__init__", "__eq__", "__hash__", "__setattr__", "__delattr__")
-"""If a class defines one of these methods itself, the standard library makes the class, because it adapts the other methods to this
-one."""
+"""If a class defines one of these methods itself, the standard library makes the class, because the standard library adapts the
+other methods to such a method."""
 _SPECIAL = ("ClassVar", "InitVar", "KW_ONLY")
 KNOWN = {"frozen", "slots", "eq", "kw_only"}
 

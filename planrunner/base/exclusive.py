@@ -96,7 +96,7 @@ def _held(descriptor: int, path: Path) -> int:
 
 
 def _hold(known: os.stat_result, path: Path) -> None:
-    """Checks the file that was opened. Raises `OSError` if it is not a regular file with exactly one name."""
+    """Checks the status of the file. Raises `OSError` if it is not a regular file with exactly one name."""
     if stat.S_ISLNK(known.st_mode):
         raise OSError(errno.ELOOP, "it is a symbolic link", str(path))
     if not stat.S_ISREG(known.st_mode) or known.st_nlink > 1:

@@ -56,8 +56,8 @@ class NotOrdinaryError(OSError):
 class Entry:
     """Describes an entry of a folder: its kind and, for a file, its size in bytes.
 
-    The kind `other` stands for a link, a pipe, a device, or a file with two names. `modified`: time of the last change of the
-    file's content, in ns since 1970 by the clock of the file system."""
+    The kind `other` means a link, a pipe, a device, or a file with two names. `modified`: time of the last change of the file's
+    content, in ns since 1970 by the clock of the file system."""
 
     kind: EntryKind
     size: int

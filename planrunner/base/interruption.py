@@ -1,4 +1,5 @@
-"""Ends a command on a signal at any time: a short line on standard error and exit code 130, never a traceback.
+"""Ends a command when a signal arrives, at any time. The command prints a short line on standard error, never a traceback, and has
+the exit code 130.
 
 Ctrl-C, SIGTERM and a closed terminal raise a `KeyboardInterrupt`, so that files being written stay complete. During a run the
 executor handles signals itself (`execution.stopping`). While modules are imported or objects are released, Python may print the

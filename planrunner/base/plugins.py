@@ -1,8 +1,8 @@
 """Finds plug-ins by name through entry points: instruments and their simulators, estimators, and terms and effects of the error
 model.
 
-Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in one. The names
-of plug-ins are found without importing their modules; a module is imported when the name of its plug-in is used.
+Built-in and third-party plug-ins are found in the same way; another distribution cannot take the name of a built-in plug-in. The
+names of plug-ins are found without importing their modules; a module is imported when the name of its plug-in is used.
 
 The project's own entry points are read from the file in which its installation lists them. `importlib.metadata` is used only for
 other names, because it reads the entry points of all distributions and imports 28 further modules.

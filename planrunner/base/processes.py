@@ -4,8 +4,8 @@ The items are distributed before the processes start, and each process sends all
 Therefore no process waits for another. If the first process is killed, the others end when they have computed their part. If
 another process is killed, its pipe closes; the first process then raises an error instead of waiting for ever.
 
-A process is a fork of this process if this is safe, that is, on Linux and if this process has a single thread. A fork already has
-everything that this process has imported and computed. Otherwise, the process is a new interpreter, whose start takes as long as
+On Linux, if this process has only one thread, the other processes are forks of this process. A fork already has everything that
+this process has imported and computed. Otherwise, each of the other processes is a new interpreter, whose start takes as long as
 the work on many items.
 """
 
@@ -29,7 +29,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _PAYS = {"fork": 4, "spawn": 64}
-"""Number of items, of some milliseconds each, for which one more process saves time."""
+"""Minimum number of items per process for which a further process saves time, if each item takes some milliseconds."""
 
 
 class ProcessEndedError(Exception):

@@ -86,7 +86,7 @@ def open_regular(
 
 def read_regular(path: Path | str, limit: int, *, folder: int | None = None, links: bool = True) -> bytes:
     """Returns the contents of a regular file of at most `limit` bytes (see `open_regular`). Raises `RefusedFileError` for any other
-    file. `folder`, `links`: the same as there."""
+    file. `folder`, `links`: the same as in `open_regular`."""
     with open_regular(path, limit, folder=folder, links=links) as file:
         return read_bounded(file, limit)
 

@@ -1,11 +1,11 @@
-"""Makes text for readers that can be translated: an English template together with the values that it inserts.
+"""Makes translatable text for readers: an English template together with the values that are inserted.
 
 `said("{output}: {count} samples are missing.", output="gyro_x", count=3)` is the text "gyro_x: 3 samples are missing.", together
-with its template and its values. The template is the message id of the catalogues in `locales/`, as for gettext; `make catalogues`
-finds it in the call. A page in another language looks up the template and inserts the values with the format that the template
-states.
+with its template and its values. As in gettext, the template is the message id in the catalogues in `locales/`. `make catalogues`
+finds the template in the call. To translate a page, the program looks up the template in a catalogue, and inserts the values in the
+format that the template states.
 
-A `Said` is a `str`: where nothing is translated (the terminal, a page in English, a comparison) it is the English text.
+A `Said` is a `str`. If nothing is translated (on the terminal, on a page in English, in a comparison), it is the English text.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ def trusted_within(folder: Path, user: int | None = None) -> None:
 
 def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True) -> None:
     """Checks one entry. Raises `UntrustedFolderError` if it belongs to another user or if others may write to it. `reachable`:
-    False if other users cannot reach the entry. It is then not checked whether others may write to the entry."""
+    False if other users cannot reach the entry. In this case, the function does not check whether others may write to the entry."""
     if sys.platform == "win32":
         return
     if known.st_uid not in (user, ADMINISTRATOR):
@@ -95,8 +95,8 @@ def user_data() -> Path:
 
 
 def user_cache(variable: str, name: str) -> Path:
-    """Returns the folder for this user's cached data. The cache folder is the folder that the environment variable names. If the
-    variable is not set, it is the folder `name` below planrunner's folder in the system's folder for caches."""
+    """Returns the folder for this user's cached data. `variable`: environment variable that may name this folder. If the variable
+    is not set, the result is the folder `name` in planrunner's part of the system's folder for caches."""
     stated = os.environ.get(variable)
     if stated:
         return Path(stated)

@@ -1,10 +1,10 @@
 """Ensures that only one run uses a bench. A process locks every real instrument against all other processes of the computer. The
 process locks all names of the instrument's address.
 
-Locks are files in one folder of the computer, which does not depend on the folder for temporary files of a process. The operating
-system releases them when a process ends for any reason. The watchdog of a run takes a lock as well, before the first instrument is
-connected. Therefore, if a run is killed, no other run gets the bench until the watchdog has made it safe. Locks have no effect on a
-second computer that uses the same instrument.
+Locks are files in one folder of the computer. This folder does not depend on the folder that a process uses for temporary files.
+The operating system releases the locks of a process when the process ends for any reason. The watchdog of a run takes a lock as
+well, before the first instrument is connected. Therefore, if a run is killed, no other run can use the bench until the watchdog has
+made the bench safe. Locks have no effect on a second computer that uses the same instrument.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ RESCUE_PATIENCE = 30.0
 def bench_lock(bench: Bench, shown: str, purpose: str = "a run") -> Iterator[None]:
     """Locks the bench's real instruments. A bench without real instruments needs no lock.
 
-    `shown`: name of the bench file, for messages. `purpose`: the reason for the lock; others who want to use the bench see it in a
-    message. Raises `InputError` if another process holds one of the instruments. Waits for the watchdog of a run that has ended.
+    `shown`: name of the bench file, for messages. `purpose`: the reason for the lock; other users who try to use the bench see the
+    reason in a message. Raises `InputError` if another process holds one of the instruments. Waits for the watchdog of a run that
+    has ended.
     """
     instruments = _names(bench)
     with ExitStack() as stack:
@@ -98,8 +99,9 @@ def lock_folder() -> Path:
 
 
 def _named(folder: Path) -> Path:
-    """Returns the folder for locks that is named by an environment variable. If it does not exist, it is created: for all users if
-    an administrator runs the program, otherwise for this user alone."""
+    """Returns the folder for locks that is named by an environment variable. If the folder does not exist, it is created, for all
+    users if an administrator runs the program, otherwise for this user alone. Raises `UntrustedFolderError` if the path is relative
+    or a link, or if other users could change the folder."""
     if not folder.is_absolute():
         raise UntrustedFolderError(f"{folder} is a different folder for each process: give its absolute path")
     try:
@@ -135,7 +137,8 @@ def _names(bench: Bench) -> Mapping[str, str]:
 
 
 def _hold_all(stack: ExitStack, instruments: Mapping[str, str], kind: str, shown: str, purpose: str) -> None:
-    """Takes all locks of one kind, or none of them if another process holds one. Closing `stack` releases them."""
+    """Takes all locks of one kind. Closing `stack` releases the locks. Raises `InUseError` if another process holds one of the
+    locks, and `InputError` if the bench cannot be locked."""
     if not instruments:
         return
     folder = _usable_folder(shown)

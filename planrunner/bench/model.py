@@ -157,7 +157,7 @@ class InstrumentEntry(Record):
 
 
 class FixtureSpec(Record):
-    """Describes the fixture in which the sensor is mounted; its angles are in a plan's `mounting`."""
+    """Describes the fixture in which the sensor is mounted. A plan states the angles of the fixture under `mounting`."""
 
     asset: str | None = optional(Text(LINE, "an asset number"), "Your own number for the fixture.", "FX-0007")
     reach: Quantity | None = optional(

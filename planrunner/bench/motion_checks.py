@@ -61,8 +61,8 @@ def start_motion(
     at: MarkOf,
     log: Findings,
 ) -> tuple[float, TableState]:
-    """Returns the time [s] until the table is in motion, and the state of the table after the dwell. A motion that the table cannot
-    execute becomes a finding at the position of the motion in the plan.
+    """Returns the time [s] until the table is in motion, and the state of the table after the dwell. If the table cannot execute
+    the motion, a finding at the position of the motion in the plan is added to `log`.
 
     `input_axes`: array of shape (n, 3), directions of the sensor's input axes when the motion begins, East-North-Up; None if not
     known. `at`: a function that returns the mark of one of the motion's keys in the plan or, for an empty key, the mark of the

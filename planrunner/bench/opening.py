@@ -2,8 +2,8 @@
 
 Only the instruments that this process has taken control of are made safe. An instrument to which planrunner has only connected is
 not changed, because planrunner must not stop an instrument that someone else started. When the bench is made safe, each instrument
-is tried in the bench's order, even if others fail. Connecting stops at the first instrument that fails and releases those already
-connected.
+is tried in the bench's order, even if others fail. If an instrument cannot be connected, connecting stops, and the instruments that
+are already connected are released.
 
 For a run, the bench is locked against other runs, then guarded by a watchdog, then connected, and at the end made safe. A bench
 without real instruments needs neither a lock nor a watchdog.
@@ -90,7 +90,7 @@ class OpenBench:
         return own_limits(self.bench.protection)
 
     def sign_of_life(self) -> None:
-        """Tells the watchdog that planrunner is at work. Raises `InstrumentError` if the watchdog has ended."""
+        """Informs the watchdog that planrunner is at work. Raises `InstrumentError` if the watchdog has ended."""
         if self.watchdog is not None:
             self.watchdog.sign_of_life()
 
@@ -100,9 +100,9 @@ class OpenBench:
         self._roles = {**self._roles, name: role}
 
     def take_control(self, *names: str) -> None:
-        """Declares that, from now on, this process commands these instruments (by default all). At the end, the process makes them
-        safe; if it cannot, its watchdog makes them safe. Call this before the first command. Raises `InstrumentError` if the
-        watchdog has ended."""
+        """Declares that, from now on, this process commands these instruments (by default all). At the end, the process makes these
+        instruments safe; if this fails, its watchdog makes them safe. Call this method before the first command. Raises
+        `InstrumentError` if the watchdog has ended."""
         added = set(names or self.instruments) - self._controlled
         if added and self.watchdog is not None:
             self.watchdog.answer_for(added)
@@ -176,9 +176,9 @@ def open_bench(
     """Connects the instruments of a bench in the order of its file.
 
     `data_root`: folder that must contain the recordings. `seed`: seed of all random numbers of a simulated bench; by default the
-    seed in the bench file. `clock`: a clock to use instead of the one that the bench names. `notice`: receives the progress of work
-    before the run. Raises `InstrumentError` with the name of the instrument that could not be connected; the instruments connected
-    before it are closed without being commanded.
+    seed in the bench file. `clock`: a clock that replaces the clock that the bench file states. `notice`: receives the progress of
+    work before the run. Raises `InstrumentError` with the name of the instrument that could not be connected; the instruments
+    connected before it are closed without being commanded.
     """
     virtual = runs_on_virtual_clock(bench)
     clock = clock or (VirtualClock() if virtual else real_clock(bench))

@@ -1,7 +1,7 @@
 """Communicates with a separate process that simulates a bench at the addresses in the bench file.
 
 A run on such a bench uses the clock of the process, which may be faster than real time. Real instruments never answer at these
-addresses. Therefore such a clock never controls anything real.
+addresses. Therefore, a clock of this kind never controls anything real.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from planrunner.plan.quantity import Quantity, parse_symmetric
 
 
 class Sense(Enum):
-    """States the quantity that a sensor measures. The limits that apply depend on it."""
+    """States the quantity that a sensor measures. The applicable limits depend on this quantity."""
 
     RATE = "angular rate"
     FORCE = "specific force"
@@ -76,7 +76,7 @@ GRADE_NAMES = tuple(grade.name for grade in GRADES)
 
 
 def grade_of(sense: Sense, noise: float) -> Grade:
-    """Returns the lowest grade in which sensors with such low noise are usual. `noise`: the white noise in the unit of
+    """Returns the lowest grade whose sensors usually have noise as low as `noise`. `noise`: the white noise in the unit of
     `Grade.quietest`."""
     return next(grade for grade in reversed(GRADES) if grade.quietest[sense] <= noise)
 

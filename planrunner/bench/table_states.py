@@ -25,8 +25,8 @@ queries of the table."""
 RATE_ERROR = 1e-3
 """Largest relative difference between an actual and a planned rate."""
 MOST = 16
-"""Maximum number of additional positions of the table that planning considers. There are more only if, after several motions in
-succession, two paths to the next orientation take almost equally long."""
+"""Maximum number of additional positions of the table that planning considers. More positions occur only if two ways to the next
+orientation take almost equally long after several motions in succession."""
 _SAME = 1e-6  # rad; joint angles nearer than this are the same
 _STEP = math.pi / 4  # rad; angles at which the choice is tried are at most this far apart
 

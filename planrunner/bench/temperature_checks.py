@@ -22,8 +22,8 @@ class Temperatures:
         self._warned: float | None = None  # time of the change whose soak was reported as too short
 
     def change(self, kelvin: float | None, now: float, mark: Mark) -> float:
-        """Changes the setpoint of the chamber to `kelvin` at the time `now` [s]; returns the time [s] until the air has reached
-        it."""
+        """Changes the setpoint of the chamber to `kelvin` at the time `now` [s]; returns the time [s] until the air has reached the
+        setpoint."""
         if kelvin is None or not self._within_reach(kelvin, mark):
             return 0.0
         return self._head_for(kelvin, now)

@@ -1,4 +1,4 @@
-"""Starts and feeds the watchdog, a separate process that makes the bench safe if planrunner no longer can.
+"""Starts and feeds the watchdog, a separate process that makes the bench safe if planrunner can no longer do so.
 
 The watchdog is started before the first instrument is connected. The watchdog receives the names of the instruments that the run
 controls, and a heartbeat about every second. The watchdog ends when the run reports that the bench is safe. If the connection ends
@@ -67,7 +67,7 @@ class Watchdog:
         return self._process.pid
 
     def sign_of_life(self) -> None:
-        """Tells the watchdog that planrunner is at work. The method may be called often, at low cost. Raises `InstrumentError` if
+        """Informs the watchdog that planrunner is at work. The method may be called often, at low cost. Raises `InstrumentError` if
         the watchdog has ended."""
         now = time.monotonic()
         if now - self._told < EVERY:
@@ -87,12 +87,12 @@ class Watchdog:
             raise InstrumentError(_GONE) from None
 
     def report_to(self, folder: Path) -> None:
-        """Tells the watchdog the run folder, to which it writes a report if it acts."""
+        """Sends the path of the run folder to the watchdog. If the watchdog acts, it writes a report to this folder."""
         with contextlib.suppress(OSError):  # the next heartbeat reports it
             self._tell(json.dumps({"report": str(folder.absolute())}))
 
     def stand_down(self) -> None:
-        """Tells the watchdog that the bench is safe. The watchdog ends without acting."""
+        """Informs the watchdog that the bench is safe. The watchdog then ends without acting."""
         with contextlib.suppress(OSError):
             self._tell("safe")
         self._part(LEAVING)

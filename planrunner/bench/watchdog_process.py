@@ -1,12 +1,12 @@
 """The watchdog process, started by `planrunner.bench.watchdog` through `planrunner.bench.watchdog_start`.
 
-From its standard input, it reads which bench it guards, and then heartbeats and the names of the instruments that planrunner
-controls. The watchdog makes the bench safe in two cases: if the input ends without the word `safe`, and if the heartbeat stops for
-too long. In the second case, it first ends planrunner, because planrunner may hold exclusive connections and might continue to send
-commands. To make the bench safe, it connects to every real instrument that planrunner controlled, using only the bench file, and
-brings the instrument to its safe state. If an instrument hangs or fails, it continues with the next. Instruments to which
-planrunner had only connected are left as they are. The watchdog reports to the run folder and on its standard error stream. While
-it exists, no other run gets the bench (`bench.lock`).
+The watchdog reads from its standard input: first the bench that it guards, then heartbeats and the names of the instruments that
+planrunner controls. The watchdog makes the bench safe in two cases: if the input ends without the word `safe`, and if the heartbeat
+stops for too long. In the second case, it first ends planrunner, because planrunner may hold exclusive connections and might
+continue to send commands. To make the bench safe, it connects to every real instrument that planrunner controlled, using only the
+bench file, and brings the instrument to its safe state. If an instrument hangs or fails, it continues with the next. Instruments to
+which planrunner had only connected are left as they are. The watchdog reports to the run folder and on its standard error stream.
+While the watchdog exists, no other run can use the bench (`bench.lock`).
 """
 
 from __future__ import annotations
@@ -135,7 +135,8 @@ def _ended(parent: int) -> str:
 
 
 def rescue(charge: Charge) -> list[str]:
-    """Makes every real instrument safe that planrunner controlled, in the bench's order; returns a line of text about each."""
+    """Makes safe every real instrument that planrunner controlled, in the bench's order. Returns a line of text about each real
+    instrument."""
     return [
         f"{name}: {_made_safe(charge, name) if name in charge.controlled else 'left as it was, never commanded'}"
         for name in real_instruments(charge.bench)

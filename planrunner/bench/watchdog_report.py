@@ -1,5 +1,5 @@
-"""Writes and reads the watchdog's report in a run folder. The process of the watchdog writes it; when the run is resumed, it is
-entered into the journal."""
+"""Writes and reads the watchdog's report in a run folder. The watchdog process writes the report. When the run is resumed, the
+report is added to the journal."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Starts the watchdog process: `python -m planrunner.bench.watchdog_start`. From its first import on, it ignores the signals that
-end planrunner."""
+"""Starts the watchdog process: `python -m planrunner.bench.watchdog_start`. Before any longer import, the process begins to ignore
+the signals that end planrunner."""
 
 from planrunner.base.interruption import be_deaf
 

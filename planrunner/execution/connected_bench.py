@@ -42,5 +42,5 @@ class ConnectedBench(Protocol):
         """Brings every controlled instrument to its safe state; returns the failures, whose texts name the instruments."""
 
     def sign_of_life(self) -> None:
-        """Tells the watchdog that planrunner is at work. The method is called often. Raises `InstrumentError` if no watchdog guards
-        the bench any more."""
+        """Informs the watchdog that planrunner is at work. The method is called often. Raises `InstrumentError` if no watchdog
+        guards the bench any more."""

@@ -1,9 +1,9 @@
 """Executes a schedule on a bench and makes a recording.
 
-For each segment it brings the bench to the required state (temperature, orientation, motion), waits for settling, writes the
-samples of the sensor to the run folder, takes readings, and ends the motion. The executor uses instruments only through the
-interfaces of their capabilities, and time only through the clock of the bench. If a limit of the plan is exceeded during a segment,
-the segment is rejected and repeated, as often as the plan allows. After any failure, the bench is first brought to its safe state.
+For each segment, the executor brings the bench to the required state (temperature, orientation, motion), waits for settling, writes
+the samples of the sensor to the run folder, takes readings, and ends the motion. It uses instruments only through the interfaces of
+their capabilities, and time only through the clock of the bench. If a limit of the plan is exceeded during a segment, the segment
+is rejected and repeated, as often as the plan allows. After any failure, the bench is first brought to its safe state.
 """
 
 from __future__ import annotations
@@ -103,7 +103,8 @@ def execute(
     patience: Patience | None = None,
     operator: Operator | None = None,
 ) -> Outcome:
-    """Executes the segments of `schedule` from the index `start_at` on, except those that `writer` has acknowledged already.
+    """Executes the segments of `schedule`, beginning with the index `start_at`. Segments that `writer` has already acknowledged are
+    skipped.
 
     `operator`: receives the prompts of the plan; None on a simulated bench, where prompts are skipped. Failures of instruments or
     of the disk do not raise exceptions; the outcome contains them, and the bench is brought to its safe state. A finished run is
@@ -379,7 +380,7 @@ def _frames(counts: FrameCounts | None) -> JsonObject | None:
 
 
 def _make_safe(bench: ConnectedBench) -> list[str]:
-    """Makes the bench safe. If a signal or an exception interrupts this, it tries again. Returns the failures."""
+    """Makes the bench safe, with up to `SAFE_ATTEMPTS` attempts if a signal or an exception interrupts. Returns the failures."""
     told = "the bench could not be made safe: switch the table and the chamber off by hand"
     for _ in range(SAFE_ATTEMPTS):
         try:

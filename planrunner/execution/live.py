@@ -36,11 +36,11 @@ from planrunner.instruments.interfaces import Block
 from planrunner.plan.schedule import Segment
 
 EVERY = 1.0
-"""Real time between two states, s."""
+"""Minimum real time between two publications of the state, s."""
 MOST_CHANNELS = 16
-"""Number of channels that are shown."""
+"""Maximum number of channels that are shown."""
 STRIP = 180
-"""Number of intervals in a strip."""
+"""Number of intervals in a strip chart."""
 MOST_WAITING = 50_000
 """Number of samples that are collected before they are summarised."""
 NOTICES = 20

@@ -9,9 +9,9 @@ temperature is set only when it changes; the orientation is set only when it cha
 Readings of the instruments, under the names that plans use, decide whether a quantity has settled before a segment is recorded. The
 same readings decide whether the temperature stays within its limits while the segment is recorded.
 
-On a simulated bench, the state reached is stored with every segment, so that the run can continue after a crash (`Continuity`). On a
-real bench, nothing is stored, because the state of real instruments cannot be restored from data. After an interruption, nothing is
-assumed about their state.
+On a simulated bench, the state reached is stored with every segment, so that the run can continue after a crash (`Continuity`). On
+a real bench, nothing is stored, because the state of real instruments cannot be restored from data. After an interruption, nothing
+is assumed about the state of the instruments.
 """
 
 from __future__ import annotations

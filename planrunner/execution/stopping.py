@@ -1,8 +1,9 @@
 """Stops a run on request: the first Ctrl-C ends the run after the segment, the second Ctrl-C or a termination signal ends it at
 once.
 
-The signal handlers only record the request; the executor checks it between steps, and makes the bench safe before it ends. A third
-Ctrl-C raises KeyboardInterrupt, in case a driver does not return. After this exception, the executor also makes the bench safe.
+The signal handlers only record the request; the executor checks for requests between steps, and makes the bench safe before the run
+ends. A third Ctrl-C raises KeyboardInterrupt, in case a driver does not return. After this exception, the executor also makes the
+bench safe.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Finds the runs of an archive that are in progress, and executes what a person requests: pause, continue, or confirm a prompt.
+"""Finds the runs of an archive that are in progress, and carries out a person's requests: to pause a run, to continue a run, or to
+confirm a prompt.
 
 Runs are executed by other processes. A run with a live state counts as running if the live state changes, or if the run folder is
 locked. The lock is tested as rarely as possible, because each test holds the lock for a moment.

@@ -2,9 +2,9 @@
 
 The page and its script contain no data and need no token. All data and actions need the token in the `Authorization` header. The
 page takes the token from the fragment of its address, which browsers do not send. A cookie would not be secret, because browsers
-would send it to every other server on this computer as well. Requests with another `Host` than this server, and actions with
-another `Origin` than this page, are refused. Therefore another site cannot reach the server through the browser, even if the name
-of this site resolves to 127.0.0.1.
+would send it to every other server on this computer as well. The server refuses requests whose `Host` is not this server, and
+actions whose `Origin` is not this page. Therefore another site cannot reach the server through the browser, even if the name of
+this site resolves to 127.0.0.1.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from planrunner.live.monitor import Activity, Monitor
 
 LOOPBACK = "127.0.0.1"
 EVERY = 1.0
-"""Time between two readings of the archive while a page is watching, s."""
+"""Time between two readings of the archive while a page is open, s."""
 KEEP_ALIVE = 15.0
 """Time after which a line is sent even if nothing has changed, s."""
 MOST_BODY = 4096
 """Maximum size in bytes of the body of a request."""
 MOST_WATCHERS = 16
-"""Maximum number of pages that watch at the same time."""
+"""Maximum number of pages that are open at the same time."""
 TIMEOUT = 30.0
 """Maximum time in which a request must arrive, s."""
 
