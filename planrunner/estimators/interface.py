@@ -183,8 +183,8 @@ class DesignBlock:
     """Describes the linear model of one output at the planned stimulus.
 
     `matrix`: array of shape (n, p), design matrix, SI. `terms`: the p names of the columns. `magnitudes`: array of shape (p,),
-    declared size of each column (Earth rate, g …), by which the column is divided before rank and condition of the matrix are
-    judged. `sigma`: array of shape (n,), predicted standard uncertainty of each observation, in the output's unit.
+    declared size of each column (Earth rate, g …), by which the column is divided before the rank and the condition of the matrix
+    are computed. `sigma`: array of shape (n,), predicted standard uncertainty of each observation, in the output's unit.
     """
 
     output: str

@@ -185,7 +185,8 @@ def rate_errors(quantity: InputQuantity, moved: Array, rates: Array) -> tuple[Co
 
 
 def common_rate(estimate: str, stated: Quantity | None) -> InputQuantity:
-    """Returns the error that all rates of an estimate have in common, as the plan states it."""
+    """Returns the relative error that all rates of an estimate have in common, as an input quantity. `stated`: the relative
+    standard uncertainty that the plan states, or None."""
     source = f"plan estimates.{estimate}.rate_uncertainty"
     width = stated.value if stated else 0.0
     return InputQuantity("table rate, common", 0.0, "1", width, source=source, shown="ppm", shown_factor=1e-6)

@@ -1,7 +1,7 @@
 """Converts attitudes, which are the directions of the body axes in East-North-Up, between quaternion, matrix, and heading, pitch
 and roll.
 
-The x, y, z axes of the body point right, forward and up. If heading, pitch and roll are zero, they point east, north and up.
+The x, y, z axes of the body point right, forward and up. If heading, pitch and roll are zero, these axes point east, north and up.
 Heading is the angle of the y axis from true north, clockwise as seen from above. Pitch is the angle of the y axis above the
 horizon. Roll is the rotation about the y axis, positive if the x axis is below the horizon. The scalar of a quaternion is its first
 element. A quaternion transforms vectors from body axes to navigation axes.

@@ -1,8 +1,8 @@
 """Computes the radii of curvature and the normal gravity of the ellipsoid WGS-84.
 
 Constants and formulas follow NGA.STND.0036 (World Geodetic System 1984, version 1.0.0, 2014), sections 3.4 and 4.2. Gravity above
-the ellipsoid is the second-order series of that document, in the direction of the normal of the ellipsoid. The component of gravity
-perpendicular to this normal, at most 8·10⁻⁹ m/s² for each metre of height, is neglected.
+the ellipsoid is computed from the second-order series of that document, in the direction of the normal of the ellipsoid. The
+component of gravity perpendicular to this normal, at most 8·10⁻⁹ m/s² for each metre of height, is neglected.
 """
 
 from __future__ import annotations

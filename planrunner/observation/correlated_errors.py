@@ -1,8 +1,8 @@
 """Describes errors that correlate the means of different segments: declared flicker, and errors of the table.
 
 A correlated error describes how every observation depends on r independent inputs. All r inputs have the same stated uncertainty.
-The result is the contribution of the error to the covariance of the observations, which determines their weights. The calculation
-also gives the sensitivity of each result to the inputs.
+The contribution of the error to the covariance of the observations is computed from this description. This covariance determines
+the weights of the observations. The module also computes the sensitivities of the results to the inputs.
 """
 
 from __future__ import annotations

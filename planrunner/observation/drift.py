@@ -1,8 +1,7 @@
 """Describes a slow drift of the outputs during a test by drift functions. A drift function depends on the time, on the temperature,
-or on the temperature's rate of change. The drift of an output is a multiple of one such function, or a sum of multiples of several.
-
-A drift is not a result. The drift functions are fitted together with the coefficients only so that the unknown drift contributes to
-the uncertainties of the coefficients. A drift function is represented by its mean over each segment, minus its average over the
+or on the temperature's rate of change. The drift of an output is a linear combination of one or more such functions. Drifts are not
+reported as results. The drift functions are fitted together with the coefficients only so that the unknown drift contributes to the
+uncertainties of the coefficients. A drift function is represented by its mean over each segment, minus its average over the
 recorded time of all segments that the estimate uses. A fitted constant is therefore the value at the average time, the average
 temperature and the average rate of change of the whole test. The constant has the same meaning for outputs that use only some of
 the segments.

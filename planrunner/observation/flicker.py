@@ -2,9 +2,10 @@
 noise correlates the means of all segments of a test.
 
 Flicker has the one-sided density B²/(π·f) (IEEE Std 952, where B is the coefficient of bias instability). The spectrum of flicker
-has no lower limit, so a constant can be defined only as an average over some time span. The plan states this span, and the test
-lies in its middle. No cut-off frequency is then needed: after the average over the span has been subtracted, the means have a
-finite covariance. This covariance has the kernel −ln|t − t′|/π, whose double integrals over segments are known in closed form.
+has no lower frequency limit, so a constant can be defined only as an average over some time span. The plan states this span, and
+the test lies in its middle. No cut-off frequency is then needed: after the average over the span has been subtracted, the means
+have a finite covariance. This covariance has the kernel −ln|t − t′|/π, whose double integrals over segments are known in closed
+form.
 """
 
 from __future__ import annotations
@@ -88,8 +89,8 @@ def of_unit_size(channel: str, unit: str) -> InputQuantity:
 
 
 def mean_covariance(start: Array, end: Array, span: float) -> Array:
-    """Computes the covariance of the means of flicker noise with B = 1 over n segments, shape (n, n), after the average of the
-    noise over `span` [s] around the segments has been subtracted.
+    """Computes the covariance of the means of flicker noise over n segments, shape (n, n). The noise has B = 1, and its average
+    over `span` [s] around the segments has been subtracted.
 
     `start`, `end`: arrays of shape (n,), start and end times of the segments, s. A span shorter than the time from the first start
     to the last end is extended to that time.

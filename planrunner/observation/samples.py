@@ -70,8 +70,8 @@ def observed(
     """Makes the input of a diagnosis from the recorded segments of a run. The segments are sorted by time, because slow noise and
     hysteresis require it.
 
-    `only`: names of the channels to use, by default all. `measured`: channels that are used as measurements, whatever their names
-    and units. By default, the name of a channel gives its axis (`axis_of`), and its unit makes it a gyro (angular rate) or an
+    `only`: names of the channels to use, by default all. `measured`: channels that are used as measurements, regardless of their
+    names and units. By default, the name of a channel gives its axis (`axis_of`), and its unit makes it a gyro (angular rate) or an
     accelerometer (acceleration). `angle_channel`: channel of the table's encoder. `temperature_channel`: channel of the
     thermometer. `supply_channel`: channel of the voltmeter for the supply. `pressure_channel`: channel of the barometer. If the
     channel of a quantity is not given, the values of this quantity in the plan are used. `power_on`: time of power-on, in the time
@@ -427,7 +427,7 @@ def recorded_course(
 
 
 def supposed_course(time: Array, site: Site) -> MotionShown:
-    """Returns an assumed motion about all axes, for a segment that has not been recorded yet. The motion is chosen such that every
+    """Returns an assumed motion about all axes, for a segment that has not been recorded yet. The motion is chosen so that every
     effect can act. Numbers that are reported must not depend on this motion. `time`: array of shape (n,), s."""
     since = time - time[0]
     rates = np.radians(_SUPPOSED) * np.sin(2 * np.pi * np.outer(since, np.array([0.3, 0.5, 0.7])))

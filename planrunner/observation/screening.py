@@ -11,7 +11,7 @@ noise is an outlier with the probability `CHANCE` (Davies and Gather, "The Ident
 88 (1993) 782-792). The local median follows the motion, so that a turning or rocking sensor is compared with its own motion. The
 scale is the median absolute deviation from the local median (Rousseeuw and Croux, "Alternatives to the Median Absolute Deviation",
 ibid. 1273-1283). The median absolute deviation is zero if more than half of the samples have one value. The scale therefore has
-three lower limits: a trimmed mean of the deviations, half a count, and a part of the usual change from sample to sample.
+three lower limits: a trimmed mean of the deviations, half a count, and a fraction of the typical change from sample to sample.
 
 *Stuck.* Runs of equal samples are compared with the other runs of the same segment. A run is stuck if it is more than `RUN` times
 as long as 99 % of the others, and if the noise of the segment would have moved its samples to another count. A smooth signal, or a
@@ -183,7 +183,7 @@ class _Last:
 
 @dataclass
 class _Window:
-    """A piece of one channel, together with neighbouring samples as far as they exist.
+    """A piece of one channel, together with those neighbouring samples that exist.
 
     `low`, `high`: bounds of the piece, which is values[low:high]. `usual`, `count`: mean change between neighbouring samples, and
     size of a count, both at the time of the examination of the piece. `places`: array of shape (n,), index of the sample before
@@ -206,7 +206,7 @@ class _Window:
         self.times = np.concatenate([times, self.times])
 
     def extended(self, values: Array, rows: RowNumbers, times: Array) -> None:
-        """Adds following samples to the window, as far as they belong to the context of the piece."""
+        """Adds those of the following samples that belong to the context of the piece."""
         more = slice(0, max(self.high + _BESIDE - len(self.values), 0))
         self.values = np.concatenate([self.values, values[more]])
         self.rows = np.concatenate([self.rows, rows[more]])
@@ -258,8 +258,8 @@ class _Runs:
         self.bends += max(len(values) - 2, 0)
 
     def add_changing(self, values: Array, rows: Numbered, times: Array, last: _Last | None) -> None:
-        """Adds the next samples, each of which differs from the sample before it. Unlike the samples passed to `add`, they do not
-        begin with the last sample of the previous call."""
+        """Adds the next samples, each of which differs from the sample before it. Unlike the samples passed to `add`, these samples
+        do not begin with the last sample of the previous call."""
         if last is not None:
             if self.length >= RUN:
                 two = np.array([last.value, values[0]])
@@ -316,9 +316,9 @@ class Screening:
         angles: Sequence[AngleSpikes] = (),
     ):
         """`counts`: declared count of each channel, 0 if none is declared. `full_scales`: full scale of each channel, for both
-        signs. Counts and full scales are in the channel's unit. `steady`: True if the plan has the sensor at rest or at a constant
-        rate, so that the motion causes no changes within the segment. `still`: True if the plan has the sensor at rest.
-        `stopping`: True if the segment is planned as turns with stops in between."""
+        signs. Counts and full scales are in the channel's unit. `steady`: True if the sensor is planned to be at rest or to rotate
+        at a constant rate, so that the motion causes no changes within the segment. `still`: True if the sensor is planned to be at
+        rest. `stopping`: True if the segment is planned as turns with stops in between."""
         self.channels, self.steady, self.still, self.stopping = tuple(counts), steady, still, stopping
         self.angles = angles
         self.counts = np.array([counts[name] for name in self.channels])
@@ -806,8 +806,8 @@ def _is_rough(values: Array) -> bool:
 def _changes_before(x: Array, size: int, places: RowNumbers, noise: float) -> Array:
     """Returns, for each of the samples x[places], the largest change from sample to sample among the `size` samples before it and
     the two samples after it; the sample itself is left out. The result is finite only if all these samples are within the distance
-    `noise` of one level. Otherwise, and near the ends, it is infinity. The condition excludes the ripple that a filter causes next
-    to a turn, because the ripple does not keep a level. `x`: array of shape (n,)."""
+    `noise` of one level. Otherwise, and near the ends, the result is infinite. The condition excludes the ripple that a filter
+    causes next to a turn, because the ripple does not keep a level. `x`: array of shape (n,)."""
     found = np.full(len(places), np.inf)
     inner = np.flatnonzero((places >= size) & (places < len(x) - 2))
     others = x[places[inner, None] + np.append(np.arange(-size, 0), (1, 2))]
@@ -889,7 +889,7 @@ def rows_of(finds: Iterable[Find]) -> int:
 
 def _statistics(recorded: RecordedSegment, own: Mapping[str, tuple[Find, ...]]) -> tuple[Statistics, float]:
     """Returns the statistics of each channel, computed from its good rows. Covariances between channels are computed from the rows
-    that are good in all channels. Also returns the fraction of good rows in the channel that has the fewest."""
+    that are good in all channels. Also returns the fraction of good rows in the channel that has the fewest good rows."""
     raw = recorded.statistics
     rows = raw.count + raw.rejected
     sets: dict[frozenset[tuple[int, int]], list[str]] = {}

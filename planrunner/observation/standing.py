@@ -36,8 +36,8 @@ def with_standing(
     recording: Sequence[RecordedSegment], sensor: SensorModel, channels: Collection[str], chance: float
 ) -> tuple[RecordedSegment, ...]:
     """Adds a finding to a segment for each channel that keeps one value although its noise would have changed this value. The
-    finding does not count as bad: samples of a bad finding are excluded, so the channel would have no data left in this segment. A
-    person must decide what to do.
+    finding does not count as bad, because an estimate excludes the samples of bad findings, and the channel would then have no data
+    in this segment. A person must decide what to do.
 
     `chance`: a channel counts as stuck if the probability that noise leaves its value constant is at most `chance`.
     """

@@ -47,8 +47,8 @@ def combine(
 ) -> Combined:
     """Adds the covariance of the influences to the type A `covariance` (m, m) of the coefficients.
 
-    `source`: a text that states where the type A part comes from; the budgets show it in the row of this part. Raises ValueError if
-    the sensitivities do not fit the coefficients or are not finite.
+    `source`: a text that states the source of the type A part; the budgets show this text in the row of this part. Raises
+    ValueError if the sensitivities do not fit the coefficients or are not finite.
     """
     acting = merged(influences)
     m = len(measured)

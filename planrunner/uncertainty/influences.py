@@ -33,7 +33,7 @@ class InputQuantity:
     """One quantity that is stated with an uncertainty.
 
     `value`, `standard_uncertainty`: value and standard uncertainty in `unit`, which is SI-coherent. `distribution`: normal,
-    rectangular, triangular, u-shaped, t. `source`: where the statement comes from, for an auditor: instrument, asset number,
+    rectangular, triangular, u-shaped, t. `source`: origin of the stated value, for an auditor: instrument, asset number,
     certificate, or the key of a file. `calibrated`: ISO date of the calibration, or empty. `shown`: unit in which budgets show the
     quantity, usually the unit in which it was stated. One unit `shown` is `shown_factor` times one `unit`. If `shown` is empty,
     budgets use `unit`. `from_residuals`: True if the uncertainty was estimated from the residuals of the same fit, so that it
@@ -60,8 +60,8 @@ class Influence:
     `sensitivities`: array of shape (m, r), ∂coefficient/∂input in the unit of the coefficient per `quantity.unit`. There are r
     columns for r independent inputs with the same uncertainty, such as the errors of the table at r positions, and one column if
     all segments share one input. `in_scatter`: True if the scatter of the data already contains the effect of the input. Budgets
-    then list the input, but do not add its contribution. `parts`: names of the r inputs, such as orientations. Inputs of two
-    influences with the same name are the same input; inputs without names are different inputs.
+    then list the input, but do not add its contribution. `parts`: names of the r inputs, such as orientations. If inputs of two
+    influences have the same name, they are the same input. Inputs without names are different inputs.
     """
 
     quantity: InputQuantity

@@ -4,8 +4,8 @@ Random draws are made in blocks of 10⁴ until the results have stabilised. The 
 and the two ends of the interval, each averaged over the blocks. The results have stabilised when twice the standard deviation of
 each average is smaller than the numerical tolerance (7.9.4). This tolerance is a fifth of the tolerance of the validation (8.2).
 With four or fewer degrees of freedom, Student's t has no fourth moment, so the uncertainty of the standard deviation of the draws
-cannot be estimated. In this case, the standard uncertainty need not stabilise; the ends of the interval, which are the values to be
-validated, still must.
+cannot be estimated. In this case, the standard uncertainty need not stabilise. The ends of the interval must still stabilise,
+because they are the values to be validated.
 
 The random numbers of a block depend only on the seed and the number of the block. The results of the blocks are used in the order
 of their numbers. Several workers can therefore share the blocks without an effect on the results.

@@ -41,8 +41,8 @@ def noise_exponent(runs: Sequence[Array], factor: int, before: int | None = None
     fewer than `LEAST_POINTS` averages.
 
     `before`: the exponent found at the next shorter averaging time. The function returns `before` if the exponent of the averages
-    differs from `before` by at most half a step plus two standard deviations. The reason is that few averages are not reliable:
-    from thirty averages alone, white noise would be mistaken for a neighbouring type in one of four cases.
+    differs from `before` by at most half a step plus two standard deviations, because few averages are not reliable. From thirty
+    averages alone, white noise would be mistaken for a neighbouring type in one of four cases.
     """
     averages, count = [], 0
     for run in runs:
@@ -84,7 +84,7 @@ def degrees_of_freedom(alpha: int, order: int, factor: int, points: int, modifie
     `alpha`: noise exponent α. `order`: 2 for Allan, 3 for Hadamard. `factor`: averaging factor. `points`: number of phase points of
     the run. `modified`: True for the modified Allan variance, which averages the phase over each averaging time.
 
-    The variance converges only for α > 1 − 2·order, so a smaller alpha counts as 2 − 2·order.
+    The variance converges only for α > 1 − 2·order, so a smaller α is replaced by 2 − 2·order.
     """
     alpha = min(2, max(alpha, 2 - 2 * order))
     terms = points - order * factor - (factor if modified else 0) + (1 if modified else 0)

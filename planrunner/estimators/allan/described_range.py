@@ -2,9 +2,9 @@
 
 A record may contain more than noise. A filter or a periodic disturbance changes the deviations at short averaging times; a warm-up
 changes the deviations at long averaging times; a steady drift looks like a random walk. The first fit uses all averaging times. If
-some averaging times contradict the model, averaging times are omitted at the ends of the range, but as few as possible. Allan
-variances cannot distinguish a random walk from a drift. If they show one of the two, Hadamard variances are fitted instead. The
-coefficients are then valid both for a random walk and for a drift, and are only slightly less certain.
+some averaging times contradict the model, as few averaging times as possible are omitted at the ends of the range. Allan variances
+cannot distinguish a random walk from a drift. If they show one of the two, Hadamard variances are fitted instead. The coefficients
+are then valid both for a random walk and for a drift, and are only slightly less certain.
 
 A record has a steady drift if its noise does not explain the difference between the means of the two halves of a run. These means
 differ by the drift during half the run, and by noise. The variance of this noise is twice the Allan variance at an averaging time

@@ -5,8 +5,8 @@ mixture of the four kinds of noise describes. A line with a constant frequency, 
 accurately than the noise. Therefore, the subtraction of a line hardly changes the noise: a line uses only three of the n degrees of
 freedom of n samples.
 
-A value of the periodogram counts as a line if noise alone would exceed it only with the probability `CHANCE`. The level of the
-noise is the median of the neighbouring values (exponential distribution: median = mean·ln 2). A vibration whose frequency or
+A value of the periodogram counts as a line if the probability that noise alone exceeds this value is at most `CHANCE`. The level of
+the noise is the median of the neighbouring values (exponential distribution: median = mean·ln 2). A vibration whose frequency or
 amplitude changes is not a line: after the largest lines are subtracted, other large values remain. Nothing is subtracted from such
 a record.
 """

@@ -1,6 +1,6 @@
 """Computes the phase of one output: its running integral over each stretch of regular samples, read block by block.
 
-A gap (missing or not-finite samples) ends a stretch, and the next sample begins a new stretch. No difference is taken across a gap.
+A gap (missing or non-finite samples) ends a stretch, and the next sample begins a new stretch. No difference is taken across a gap.
 A gap of at most `bridge` seconds is filled by linear interpolation instead. If a record has more than `LONGEST` samples, only every
 D-th phase point is stored. Deviations at averaging times of D samples or more do not change; shorter averaging times are not
 available.
@@ -31,8 +31,9 @@ class Phase:
 
     `runs`: the phase points of each run, in the output's unit times the sample interval; each run begins with 0. `interval`: time
     between phase points, s. `decimation`: number of samples from one phase point to the next. `samples`: number of samples used.
-    `lost`: number of samples that are not used because they are in too short a run or after the last whole phase point of a run.
-    `missing`: number of samples in the gaps. `gaps`: number of gaps that ended a run. `bridged`: number of samples filled in.
+    `lost`: number of samples that are not used, because their run is too short or because they follow the last complete phase point
+    of a run. `missing`: number of samples in the gaps. `gaps`: number of gaps that ended a run. `bridged`: number of samples filled
+    in.
     """
 
     runs: tuple[Array, ...]

@@ -53,7 +53,8 @@ class Increments:
 
 
 class IncrementReader:
-    """Reads the increments of successive segments. The time of samples continues from one segment to the next."""
+    """Reads the increments of successive segments. The first increment of a segment begins at the last sample of the preceding
+    segment, unless `part` has recorded a gap."""
 
     def __init__(self, channels: Sequence[str], sample_rate: float, bridge: float, thermometer: str | None = None):
         """`channels`: names of three gyros and three accelerometers, each in the order x, y, z. `sample_rate`: sample rate, Hz.

@@ -281,8 +281,8 @@ class CurveFit:
         return value, np.hypot(u, value - full), freedom
 
     def warmer(self, by: float) -> Array:
-        """Returns the coefficients of a curve that is shifted by `by` [K], shape (p,): at T, it has the value that this curve has
-        at T + `by`. These coefficients describe a run in which the true temperatures are higher by this amount."""
+        """Returns the coefficients of a curve that is shifted by `by` [K], shape (p,). At T, the shifted curve has the value that
+        this curve has at T + `by`. These coefficients describe a run in which the true temperatures are higher by this amount."""
         if self.curve.form == "spline":
             return np.asarray(self.curve.columns(self.curve.knots + by) @ self.coefficients)
         moved = np.polynomial.Polynomial(self.coefficients)(np.polynomial.Polynomial([by, 1.0])).coef
