@@ -205,8 +205,8 @@ def coarse_counts(
     the channels to check; if empty, all outputs of the sensor. If the bench file declares no resolution for a channel, the count is
     found from the samples.
 
-    In such a channel, equal inputs have equal rounding errors. The rounding errors do not appear in the noise within the segments
-    or in the scatter of repetitions.
+    In a channel with too little noise, equal inputs have equal rounding errors. These errors do not appear in the noise within the
+    segments or in the scatter of repetitions.
     """
     found = []
     outputs = [one for one in sensor.outputs if varies(one) and (not channels or one.name in channels)]
@@ -324,7 +324,7 @@ _METERED = (DIMENSIONS["voltage"], DIMENSIONS["pressure"])
 _SHOWING = 4096
 """Number of samples, over all segments, from which the count of a channel is found."""
 _LEAST_SHOWING = 256
-"""Number of samples that are taken from each segment at least."""
+"""Minimum number of samples that are taken from each segment."""
 _FEWEST = 2
 """Smallest number of different values from which a count is found. Two values are enough, because an output that rarely leaves one
 value has a coarse count."""

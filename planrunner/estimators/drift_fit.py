@@ -1,5 +1,5 @@
 """Decides which drift functions the data show, and which drift functions are fitted together with the terms. A drift function is a
-power of the time or a recorded temperature; the drift of an output may be proportional to it.
+power of the time or a recorded temperature; the drift of an output may be proportional to this function.
 
 A drift function is adopted if its amplitude in one output, or its amplitudes in all outputs together, are larger than chance
 explains. `SIGNIFICANCE` is the level of this test for all tried drift functions together. The size that amplitudes can have by
@@ -141,8 +141,8 @@ def joined(matrix: Array, courses: Sequence[DriftCourse]) -> Array:
 
 
 def sizes(magnitudes: Array, columns: Array) -> Array:
-    """Returns the magnitudes of the columns that `joined` returns. The magnitude of a term is the declared one; the magnitude of a
-    drift function is its root mean square."""
+    """Returns the magnitudes of the columns that `joined` returns. A term has its declared magnitude. The magnitude of a drift
+    function is its root mean square."""
     further = columns[:, len(magnitudes) :]
     return np.concatenate([magnitudes, np.sqrt(np.mean(further**2, axis=0))]) if further.size else magnitudes
 

@@ -67,6 +67,6 @@ def detection_of(spec: EstimateSpec, estimator: Estimator[Record]) -> Detection 
 
 
 def patterns_of(spec: EstimateSpec) -> tuple[str, ...]:
-    """Returns the label patterns of the segments that an estimate uses. If the estimate detects spans, these are the segments in
-    which it detects them."""
+    """Returns the label patterns of the segments that an estimate uses. If the estimate detects spans, these patterns select the
+    segments in which spans are detected."""
     return spec.segments.within if isinstance(spec.segments, Detection) else tuple(spec.segments)

@@ -56,8 +56,8 @@ def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], sh
 
 
 def not_turned(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:
-    """Returns a warning if the planned rates do not act on any output, for example because the table turns about another axis than
-    the fitted axis.
+    """Returns a warning if the planned rates do not act on any output, for example because the table rotates about an axis other
+    than the fitted axis.
 
     `shares`: array of shape (n, m), for each of n segments and m outputs, the fraction of the rate that acts along the output's
     axis. Segments in unknown orientations and outputs of specific force are not checked.
@@ -132,9 +132,9 @@ def shares_along(segments: Sequence[Segment], directions: Sequence[Array | None]
 
 def input_direction(mounting: Mapping[str, MountedAxis], output: str) -> Array | None:
     """Returns the input axis of an output as a vector (3,) in the sensor's frame; None if the name of the output contains no axis.
-    If `mounting` contains the axis in the output's name, the direction comes from `mounting`; otherwise it is this sensor axis
-    itself. If the azimuth of the axis is not given, only its z component is known, and the other two components are set to zero, so
-    that no valid rate is rejected."""
+    If `mounting` contains the axis in the output's name, the direction comes from `mounting`; otherwise, the direction is that of
+    the sensor axis. If the azimuth of the axis is not given, only its z component is known, and the other two components are set to
+    zero, so that no valid rate is rejected."""
     axis = axis_of(output)
     if axis is None:
         return None

@@ -282,8 +282,8 @@ class Design:
 
 @runtime_checkable
 class FindsSpans(Protocol):
-    """An estimator that can search the data for spans, as a plan with `{detect: …}` requests. Estimators without `finds_spans` use
-    whole segments."""
+    """An estimator that can search the data for spans if a plan requests this with `{detect: …}`. Estimators without `finds_spans`
+    use whole segments."""
 
     finds_spans: bool
 
@@ -299,6 +299,7 @@ class Estimator(Protocol[R]):
 
 
 def estimator_of(spec: EstimateSpec) -> Estimator[Record]:
-    """Finds the plug-in that an estimate in a plan names. Raises `InputError` if it is not installed or cannot be loaded."""
+    """Finds the plug-in that an estimate in a plan names. Raises `InputError` if the plug-in is not installed or cannot be
+    loaded."""
     estimator: Estimator[Record] = plugins.load(plugins.ESTIMATORS, spec.estimator)()
     return estimator

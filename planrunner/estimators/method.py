@@ -158,13 +158,13 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
 
 @cache
 def _foresees(estimator: type) -> bool:
-    """Returns True if an estimator class has its own method for predictions. The answer is cached, because a check of a protocol is
-    slow: it inspects every attribute."""
+    """Returns True if an estimator class has its own method for predictions. The answer is cached, because the check of a protocol
+    inspects every attribute and is therefore slow."""
     return issubclass(estimator, ForeseesResults)
 
 
 def by_expectation(estimator: Estimator[P], request: DesignRequest[P]) -> Foresight:
-    """Predicts the results of any estimator: applies its formula to the expected recording."""
+    """Predicts the results of any estimator by applying its formula to the expected recording."""
     used = channels_of(request.parameters) or tuple(one.name for one in request.sensor.outputs if not one.constant)
     known = estimator.known(request) if isinstance(estimator, Method) else Known()
     first, *others = ASSUMPTIONS

@@ -75,8 +75,8 @@ def agreement(fit: OutputsFit, basis: str) -> Agreement:
 
 
 def _of_output(fit: OutputsFit, k: int, weighed: _Weighed, whole: _Shifts) -> list[Outlier]:
-    """Finds the outliers of one output. `whole`: the result of `weighed.shifts(())`, that is, before any segment has an
-    additional column."""
+    """Finds the outliers of one output. `whole`: the result of `weighed.shifts(())`, in which no segment has an additional column
+    yet."""
     from scipy.special import stdtr
 
     found: list[Outlier] = []

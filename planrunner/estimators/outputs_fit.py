@@ -156,7 +156,7 @@ class OutputsFit:
     def influences(self, basis: str, functionals: Array | None = None) -> tuple[Influence, ...]:
         """Returns the influences of the effects on the coefficients, which are listed output after output. If functionals (q, m, n)
         are given, returns the influences on these linear functions of the observations instead. If `basis` is `residual`, the
-        covariance already includes the effects in the weights."""
+        covariance already includes those effects that the weights include."""
         acting = functionals_of(self.gains) if functionals is None else functionals
         doubted = tuple(one.through(acting) for one in self._doubted_drift())
         weighted = tuple(one.through(acting, basis == "residual") for one in self.effects)
@@ -356,7 +356,7 @@ class _Weighting:
 
     def known(self, noises: Sequence[WithinSegmentNoise], residual: bool) -> _Fitted:
         """Returns the fits that are weighted by noise and effects, with all information that `OutputsFit` needs. `residual`: True
-        allows a standard deviation between segments to be added to the noise if the residuals require it."""
+        if a standard deviation between segments may be added to the noise when the residuals require it."""
         spreads, between, whitening = self.sigma.copy(), np.zeros(len(noises)), self.whitening
         found = self.plain()
         ratios = _factors(found)
@@ -464,7 +464,7 @@ def between_segments(
 
     `fitted`: a function that computes the fit for a given spread. `means`: array of shape (n,), True for the observations to which
     the standard deviation is added. χ²/dof decreases as the added deviation grows, so a root search finds the deviation. The result
-    is zero if χ²/dof is at most one without an addition, or if no addition makes it one.
+    is zero if χ²/dof is at most one without an addition, or if no added deviation reduces χ²/dof to one.
     """
     from scipy.optimize import brentq
 

@@ -52,7 +52,7 @@ class FlickerEvidence:
     roots: Array
 
     def bound(self) -> float:
-        """Returns an upper bound of the coefficient B, in the unit of the channel: B is smaller with the probability `CREDIBLE`."""
+        """Returns the value that the coefficient B does not exceed with the probability `CREDIBLE`, in the unit of the channel."""
         few = self._averaged()
         whitening = least_squares.whitener(mixed(few.sigma, few.roots))
         columns, flicker = whitening @ few.columns, whitening @ few.flicker

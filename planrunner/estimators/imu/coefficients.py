@@ -90,8 +90,8 @@ class ImuResults:
 
 
 def calibration(fitted: Sequence[Response], lower_triangular: bool) -> ImuResults:
-    """Computes the results in the frame of the fixture or, if `lower_triangular` is True, in the own frame of the accelerometers
-    (of the gyros if there are no accelerometers). Raises `EstimationError` if no frame can be defined or a term cannot be
+    """Computes the results in the frame of the fixture or, if `lower_triangular` is True, in the accelerometers' own frame (the
+    gyros' own frame if there are no accelerometers). Raises `EstimationError` if no frame can be defined or a term cannot be
     transformed. Raises `UnfitDataError` for an output that does not respond."""
     reference = fitted[-1] if lower_triangular else None  # the accelerometers, if there are any
     if lower_triangular:

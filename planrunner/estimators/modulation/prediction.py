@@ -67,8 +67,8 @@ def errors_over_time(
 
 
 def horizontal(errors: Array, attitude: Array) -> Array:
-    """Returns the constant errors (6,) without their vertical part. (A rotation about the vertical does not modulate the vertical
-    part.) `errors`, `attitude`: the same as in `errors_over_time`."""
+    """Returns the constant errors (6,) without their vertical part, which a rotation about the vertical does not modulate.
+    `errors`, `attitude`: the same as in `errors_over_time`."""
     up = attitude[:, 2]
     across: Array = errors - np.concatenate([up * (part @ up) for part in (errors[:3], errors[3:])])
     return across

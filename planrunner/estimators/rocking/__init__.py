@@ -1,1 +1,1 @@
-"""Estimates a platform's drift while it rocks, from gravity and from gimbal angles."""
+"""Estimates the drift of a platform while its base rocks, from gravity and from gimbal angles."""

@@ -2,7 +2,7 @@
 about each axis can be measured.
 
 A finding is an error if the drift under rocking could not be computed, or would be wrong. A finding is a warning if the result
-would only be less accurate than the method can be.
+would be valid, but less accurate than the method permits.
 """
 
 from __future__ import annotations

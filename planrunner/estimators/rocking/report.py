@@ -176,7 +176,7 @@ def pair_plots(pairings: Sequence[Pairings]) -> list[Plot]:
 
 
 def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) -> Said:
-    """Writes a note about drift about the vertical axis. The note states which fraction of such a drift appears as a drift about a
+    """Writes a note on the drift about the vertical axis. The note states which fraction of such a drift appears as a drift about a
     level axis. `seconds`: time between the windows, s."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return said(

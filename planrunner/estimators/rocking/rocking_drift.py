@@ -1,13 +1,14 @@
-"""Estimates the rocking drift of an inertial platform. The estimator uses the direction of gravity that the accelerometers show
-and, for comparison, the gimbal angles.
+"""Estimates the rocking drift of an inertial platform. The estimator uses the direction of gravity from the accelerometers and, for
+comparison, the gimbal angles.
 
 The base rocks while the stabilised element should keep its attitude in inertial space. If the element drifts, the direction of
-gravity changes relative to the element. Before each run, the element is caged (fixed to the base); a run is 10 min of navigation
-after the release. Four runs form a quadruple: static, dynamic, dynamic, static. Quadruples are recorded in several states; from one
-state to the next, the base is turned by 90°. The steps for each run are: (1) apply a low-pass filter, (2) correct for the
-installation angles, (3) compute the tilts, (4) compute the change of the tilts from a window at t0 to a window at t1, (5) subtract
-the change that an inertially fixed element would show. In step (6), the static runs are subtracted from the dynamic runs. The
-module `windows` reads samples, `solution` does steps 2 to 5, and `statistics` does step 6 and makes the random pairs of runs.
+gravity changes relative to the element. Before each run, the element is caged (fixed to the base); a run then consists of 10 min of
+navigation after the release. Four runs form a quadruple: static, dynamic, dynamic, static. Quadruples are recorded in several
+states; from one state to the next, the base is turned by 90°. The steps for each run are: (1) apply a low-pass filter, (2) correct
+for the installation angles, (3) compute the tilts, (4) compute the change of the tilts from a window at t0 to a window at t1, (5)
+subtract the change that an inertially fixed element would show. In step (6), the static runs are subtracted from the dynamic runs.
+The module `windows` reads samples, `solution` performs steps 2 to 5, and `statistics` performs step 6 and makes the random pairs of
+runs.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ class Run:
     @property
     def rest_before(self) -> float:
         """Returns the time [s] from the start of the record until the base begins to rock; 0 if the base rocks from the start, or
-        never."""
+        does not rock."""
         motion = self.segment.motion
         return motion.delay if isinstance(motion, Rock) else 0.0
 

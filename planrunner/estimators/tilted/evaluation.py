@@ -56,9 +56,9 @@ class Group:
     `kelvin`: measured or planned temperature, K; NaN if neither is known. `rates`: array of shape (n,) in rad/s, rates of the
     table. `spins`: array of shape (q, n), index of the segment of each repeat and rate. `rest`: array of shape (q, N), one row of
     weights for each repeat. The weighted sum of the segment means is the output at rest in this repeat, which is the mean of the
-    average zeros before and after the rates. `between`: array of shape (q, N), weights with which the weighted sum of the segment
-    means is the zero after the rates minus the zero before the rates. `outputs`: array of shape (q, n, m), the output at each rate
-    minus the output at rest, F_j − F_r. `drift`: array of shape (q, m), the zero after the rates minus the zero before the rates.
+    average zeros before and after the rates. `between`: array of shape (q, N), weights of another sum of the segment means, which
+    is the zero after the rates minus the zero before the rates. `outputs`: array of shape (q, n, m), the output at each rate minus
+    the output at rest, F_j − F_r. `drift`: array of shape (q, m), the zero after the rates minus the zero before the rates.
     """
 
     label: str
@@ -90,8 +90,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class TiltedResults:
-    """Contains the results of an evaluation for g temperatures and m axes. These results can be compared with the results for other
-    conditions.
+    """Contains the results of an evaluation for g temperatures and m axes.
 
     `means`: array of shape (g, m, 5), the five `QUANTITIES`, averaged over the repeats. `repeats`: for each temperature, an array
     (q, m, 5) with the quantities of each repeat. `residuals`: for each temperature, an array (n, m) with the residuals averaged
@@ -219,8 +218,8 @@ def slope_weights(kelvin: Array) -> Array:
 
 
 def answers_of(groups: Sequence[Group], conditions: TiltedConditions, worst: Worst) -> tuple[Array, ...]:
-    """Returns the sensitivities of the quantities to the outputs, for each group: ∂(mean over the repeats)/∂(output at a rate,
-    changed in all repeats). Each array has the shape (n, m, 5)."""
+    """Returns, for each group, the derivatives of the quantities (averaged over the repeats) with respect to the output at each
+    rate. The output is changed equally in all repeats. Each array has the shape (n, m, 5)."""
     return tuple(_answers(group, conditions, worst.rate[k], worst.sign[k]) for k, group in enumerate(groups))
 
 

@@ -189,8 +189,8 @@ def held_rates(model: GainModel, setup: Setup, vector: Array) -> tuple[Correlate
 
 
 def _outermost(axes: Sequence[TableAxis], segments: Sequence[Segment], azimuth: float) -> bool:
-    """Returns True if every spin is made by the outermost axis of the table. Only in this case, the direction of the table's rate
-    does not depend on the other axes."""
+    """Returns True if every spin is made by the outermost axis of the table. Otherwise, the direction of the table's rate depends
+    on the other axes."""
     for one in segments:
         if isinstance(one.motion, Spin) and one.attitude is not None:
             try:

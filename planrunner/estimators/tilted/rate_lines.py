@@ -3,7 +3,7 @@
 For the asymmetry, two half-lines that meet at zero rate are fitted as well. The module also computes the change of the output
 between the lowest rates.
 
-Other functions give the unit of a scale factor, which is an output divided by a rate.
+Other functions give the unit of a scale factor (unit of the output divided by unit of the rate).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Finds series of rates. A series consists of a start zero, the rates one after the other, and an end zero. At each temperature, a
 series may be repeated.
 
-The next series begins with the segment after an end zero, or with a segment at another temperature.
+A new series begins after each end zero, and at each change of the temperature.
 """
 
 from __future__ import annotations

@@ -406,7 +406,7 @@ def _sigma(
     flicker: Sequence[CorrelatedError],
 ) -> tuple[Array, Array]:
     """Returns the noise (N, m) of each segment's mean, and the degrees of freedom (m,) of this noise. The part that flicker adds to
-    the scatter within the segments is not included. An output whose noise is not visible is treated as noiseless. If the
+    the scatter within the segments is not included. An output whose samples show no noise is treated as noiseless. If the
     uncertainties are based on this noise, an `EstimationError` is raised instead."""
     known = [within_segment_noise(observations, k, explained(flicker, k)) for k in range(len(observations.channels))]
     if request.parameters.uncertainty == "within_segment" and not all(one.known for one in known):

@@ -8,7 +8,7 @@ The module also judges the drift of the zero between the readings before and aft
 
 The type A uncertainty includes the noise of the zeros. If flicker is declared, it also includes the flicker, and the drift in a
 series may be a part of this flicker. A drift is therefore added separately only if noise and flicker together do not explain it.
-Otherwise every interval would include the same noise twice.
+Otherwise, every interval would include the same noise twice.
 """
 
 from __future__ import annotations
@@ -75,10 +75,10 @@ def scatter_between_repeats(
     found: TiltedResults, groups: Sequence[Group], answers: Sequence[Array], flicker: Sequence[CorrelatedError] = ()
 ) -> Scatter:
     """Returns the type A uncertainty from the scatter of the repeats. The variance of a quantity is pooled over the temperatures.
-    It is not pooled if Bartlett's test finds that the variance differs between them. The correlations between quantities come from
-    the repeats of all temperatures. A part of the declared flicker is common to all repeats. The scatter of the repeats cannot show
-    this part, so it is added. `answers`: sensitivities of each group, from `answers_of`. Raises `EstimationError` if the rates are
-    not repeated at a temperature."""
+    It is not pooled if Bartlett's test finds that the variance differs between the temperatures. The correlations between
+    quantities come from the repeats of all temperatures. A part of the declared flicker is common to all repeats. The scatter of
+    the repeats cannot show this part, so it is added. `answers`: sensitivities of each group, from `answers_of`. Raises
+    `EstimationError` if the rates are not repeated at a temperature."""
     repeats = [one.reshape(len(one), -1) for one in found.repeats]
     if min(len(one) for one in repeats) < 2:
         raise EstimationError(

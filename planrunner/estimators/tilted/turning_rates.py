@@ -1,8 +1,8 @@
 """Computes the mean input of the axes of a fixture over each segment, in the fixture's frame. The input includes the Earth's
 rotation.
 
-When the recording begins, the table has already turned by an angle: rate × spin-up time / 2 during spin-up, because the
-acceleration is constant, plus rate × settling time. If a recording covers whole turns, this angle has no effect.
+When the recording begins, the table has already turned by an angle. This angle is rate × spin-up time / 2 (constant acceleration),
+plus rate × settling time. If a recording covers whole turns, this angle has no effect.
 """
 
 from __future__ import annotations
