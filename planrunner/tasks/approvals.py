@@ -1,5 +1,5 @@
-"""Checks whether a plan has the approvals that a bench requires: before the plan runs, when a run is resumed, and after the run. If
-a bench requires approvals, `running.start` executes a plan only if `required_approvals` found enough of them.
+"""Checks whether a plan has the approvals that a bench requires: before the plan runs, when a run is resumed, and after the run.
+If a bench requires approvals, `planrunner.tasks.run` executes a plan only if enough approvals count.
 """
 
 from __future__ import annotations
@@ -60,14 +60,15 @@ class RingFile:
 
 
 def ring_of(rule: ApprovalRule, bench_file: Path) -> RingFile:
-    """Returns the key ring that a bench names. Raises `InputError` if the ring cannot be read, or if a person whom the rule's key
-    `by` names is not in it."""
+    """Returns the key ring that a bench names. Raises `InputError` if the ring cannot be read, or if it lacks a person whom the
+    rule names under `by`."""
     return _ring(rule, bench_file.parent / rule.keys)
 
 
 def ring_of_run(rule: ApprovalRule, kept: KeptApprovals, bench_file: Path | None) -> RingFile:
-    """Returns the key ring with which a run is continued. The bench names this ring; the run folder does not contain it.
-    `bench_file`: a bench file that replaces the one in the run folder. Raises `InputError` like `ring_of`."""
+    """Returns the key ring that verifies approvals when a run is continued. The ring is read from the file that the bench names,
+    not from the run folder. `bench_file`: the bench file that replaces the bench file in the run folder; None if it is not
+    replaced. Raises `InputError` like `ring_of`."""
     return _ring(rule, Path(kept.keys) if bench_file is None else bench_file.parent / rule.keys)
 
 
@@ -95,8 +96,8 @@ def _ring(rule: ApprovalRule, path: Path) -> RingFile:
 class _Reason:
     """Describes the reason why an approval does not count, in the form in which a finding states it.
 
-    `code`: code of the finding. `hint`: what to do. `key`: the key in the bench's rule for approvals to which the reason refers, if
-    any.
+    `code`: code of the finding. `hint`: what to do. `key`: the key of the bench's rule for approvals that the approval violates;
+    empty if the reason does not refer to the rule.
     """
 
     code: str
@@ -198,8 +199,8 @@ def _tell(
     differences: _Differences | None = None,
     remedy: str = "",
 ) -> None:
-    """Adds one error about missing approvals, and for each key a further error with the reason why the newest approval with that
-    key does not count. `remedy`: text of the hint; by default, the advice to approve the plan."""
+    """Adds one error about missing approvals. Adds a further error for each signing key whose newest approval does not count,
+    with the reason. `remedy`: text of the hint; by default, the advice to approve the plan."""
     persons = sorted({one.person for one in found if one.standing == "counts"})
     counted = (
         f"only the approval by {persons[0]} counts"
@@ -236,9 +237,10 @@ def still_approved(
     """Returns the approvals that were added since the run began or was last continued, as entries for the journal of the run.
     Raises `InputError` if too few approvals count today.
 
-    `bench_file`: a bench file that replaces the one in the run folder. `further`: plan file; approvals that were given after the
-    run began are read from the folder of this file. Without `further`, only the approvals with which the run began or was continued
-    can count. An approval does not count if it has expired or been withdrawn in the meantime, or if its key has been revoked.
+    `bench_file`: the bench file that replaces the bench file in the run folder; None if it is not replaced. `further`: plan file;
+    approvals that were given after the run began are read from the folder of this file. Without `further`, only the approvals
+    that the run has already used can count. An approval does not count if it has expired or been withdrawn in the meantime, or if
+    its key has been revoked.
     """
     rule = bench.approvals
     if rule is None:
@@ -301,8 +303,8 @@ class RunApproval:
 
 
 def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, ...]:
-    """Returns the approvals of a run, checked for the time at which the run began. Faults become findings. `ring`: key ring with
-    the keys that the user knows."""
+    """Returns the approvals of a run, checked for the time at which the run began. Faults become findings. `ring`: the user's key
+    ring; None to use the ring in the run folder."""
     path = found.folder.path
     if not {PLAN, BENCH} <= found.given.keys() or not found.run:
         return ()

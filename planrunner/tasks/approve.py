@@ -2,7 +2,7 @@
 
 prepared = prepare(plan, benches, until)
 prepared.what            what would be signed; the reviewer must see it first
-prepared.last            the newest approval of another version, and the difference to it
+prepared.last            the newest approval of another version, and how that version differs from the plan
 approve(prepared, signer, name, statement)
 """
 
@@ -74,7 +74,7 @@ def prepare(
     """Prepares an approval of a plan. `benches`: names of shipped benches or bench files; by default, the bench that the plan
     names. `until`: last day on which the approval is valid.
 
-    `foresee`: True to compute also what follows from the difference between the plan and the last approved version. Raises
+    `foresee`: True to also determine the consequences of the difference between the plan and the last approved version. Raises
     `InputError` for a plan that does not pass its checks on every bench, and for a day in the past.
     """
     document = Document(source.read_bytes(plan), str(plan))

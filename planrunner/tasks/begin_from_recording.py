@@ -1,4 +1,4 @@
-"""Makes a first bench and a first plan from a recording that has no bench or plan yet."""
+"""Writes a first bench file and a first plan for a recording that has neither yet."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _stated(keys: Record) -> list[str]:
 
 
 def bench_of(look: Look, name: str) -> str:
-    """Makes the text of a bench file that plays the recording back. `name`: name of the bench."""
+    """Returns the text of a bench file for playing the recording back. `name`: name of the bench."""
     lines = [
         "planrunner_bench: 1",
         f"name: {name}",
@@ -131,12 +131,12 @@ def bench_of(look: Look, name: str) -> str:
 
 
 def _labelled(look: Look) -> list[tuple[str, Span]]:
-    """Returns the dwells of a recording, each with a label. In this recording, a table turned at different rates."""
+    """Returns the dwells of a recording in which a table turned at different rates. Each dwell gets a label."""
     return [(f"dwell_{number}", span) for number, span in enumerate(look.dwells, start=1)]
 
 
 def _dwell_lines(look: Look) -> list[str]:
-    """Returns the segments of a plan for a recording with different rates. Comments state the means of the gyros."""
+    """Returns the segments of a plan for a recording with different rates. Comments state the mean of each gyro."""
     gyros = [one for one in look.channels if one.sensed == "gyro"]
     lines = []
     for label, span in _labelled(look):
@@ -146,7 +146,7 @@ def _dwell_lines(look: Look) -> list[str]:
 
 
 def plan_of(look: Look, name: str) -> str:
-    """Makes the text of a first plan for the recording. `name`: name of the bench that the plan uses."""
+    """Returns the text of a first plan for the recording. `name`: name of the bench that the plan uses."""
     outputs = [one.name for one in look.channels if one.sensed in ("gyro", "accel")]
     live = [one.name for one in look.channels if one.name in outputs and not one.stands]
     lines = [

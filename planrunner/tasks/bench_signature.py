@@ -1,4 +1,4 @@
-"""Signs automatically, with the key of the bench: the seal of every run, and every analysis made on the computer of the bench.
+"""Automatically signs the seal of every run, and every analysis made on the computer of the bench, with the key of the bench.
 
 A failure to sign never damages a run. The run stays sealed, the command warns, and `sign_later` can sign the run when the key is
 available.
@@ -68,8 +68,8 @@ def check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
 
 
 def sign_seal(folder: GuardedFolder, run: str, bench: Bench) -> tuple[Finding, ...]:
-    """Signs the seal that the caller has just written while it holds the lock. Returns the reason why the seal is not signed; empty
-    if it is signed or does not need a signature."""
+    """Signs the seal that the caller has just written. The caller must still hold the lock of the run folder. Returns the reason
+    why the seal is not signed; empty if it is signed or does not need a signature."""
     public = key_of(bench)
     if public is None:
         return ()
@@ -152,8 +152,8 @@ def locked(folder: GuardedFolder) -> Iterator[None]:
 
 
 def sign_recorded(reader: RunReader, bench: Bench, signer: Signer, proven: dict[int, Results]) -> None:
-    """Makes the signatures that should have been made automatically. Signs the seal of a verified run, and the analyses that were
-    recomputed. The caller must hold the lock of the run folder. `proven`: maps the number of each recomputed analysis to its
+    """Makes the signatures that should have been made automatically. Signs the seal of a verified run and its recomputed
+    analyses. The caller must hold the lock of the run folder. `proven`: maps the number of each recomputed analysis to its
     results. Raises `InputError` if a signature cannot be made, and `OSError` if a file cannot be written."""
     signing = bench_signing(reader.bench_bytes, reader.state.earlier_seals)
     run = reader.run["run"]

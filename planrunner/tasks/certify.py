@@ -1,4 +1,4 @@
-"""Issues the calibration certificate of a run: determines the contents of the certificate, and what prevents issuing it."""
+"""Determines the contents of the calibration certificate of a run, and the reasons that prevent issuing it."""
 
 from __future__ import annotations
 
@@ -43,8 +43,9 @@ def facts(
     before: Mapping[str, Estimate] | None = None,
     before_run: str = "",
 ) -> CertificateFacts:
-    """Returns the contents of a certificate for this run. `given`: run information that is given when the certificate is issued; it
-    takes precedence over the information in the run."""
+    """Returns the contents of a certificate for this run. `given`: run information that is given when the certificate is issued;
+    it takes precedence over the information in the run. `before`: maps the name of each estimate to its result before the item
+    was adjusted. `before_run`: name of the run with these results."""
     recorded = recorded_information(reader)
     segments = tuple(recording)
     bench = sound.bench

@@ -1,7 +1,9 @@
-"""Makes all checks of a plan on a bench: of its form, its meaning and its physics.
+"""Checks the form, the meaning and the physics of a plan on a bench.
 
-checked = check_plan(Path("plans/x.yaml")) checked.findings       all findings, with file:line:column checked.schedule       the planned
-steps, with times checked.designs        the expected results of each estimate, with predicted uncertainties
+checked = check_plan(Path("plans/x.yaml"))
+checked.findings       all findings, with file:line:column
+checked.schedule       the planned steps, with times
+checked.designs        the expected results of each estimate, with predicted uncertainties
 """
 
 from __future__ import annotations
@@ -48,9 +50,9 @@ HOPELESS = 1e6
 
 @dataclass(slots=True)
 class Checked:
-    """Contains the result of checking a plan: the findings, and the plan and the bench as far as they could be read. `plan_bytes`,
-    `bench_bytes`: the exact bytes that were read. In the plan, the values that were given for its parameters are already entered.
-    `approvals`: the approvals that the bench requires; None if it requires none or if the plan lacks them."""
+    """Contains the result of checking a plan: the findings, and the plan and the bench as far as they could be read.
+    `plan_bytes`, `bench_bytes`: the exact bytes that were read. The plan already contains the values that were given for its
+    parameters. `approvals`: the approvals that the bench requires; None if it requires none or if the plan lacks them."""
 
     file: str
     findings: Findings
@@ -164,7 +166,7 @@ def check_plan(
     today: date | None = None,
     parameters: Mapping[str, Given] = MappingProxyType({}),
 ) -> Checked:
-    """Makes all checks of a plan before it runs. The function raises no error, whatever the files contain.
+    """Performs all checks of a plan before it runs. The function raises no error, whatever the files contain.
 
     `plan_file`: path of the plan file, or its contents as a `Document`. The bench file that a plan names is searched for in the
     folder of the plan file; for a `Document`, this is the folder in its name (`Document.shown`). Approvals are searched for only if

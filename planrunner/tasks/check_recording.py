@@ -44,7 +44,7 @@ def check_recording(checked: Checked, data_root: Path, notice: Announce | None =
 
 
 def _try_estimates(sound: Sound, player: RecordingPlayer | SummaryPlayer, notice: Announce | None) -> None:
-    """Tries every estimate of a plan on the recording. An estimate that fails becomes an error."""
+    """Tries every estimate of a plan on the recording. Adds an error for each estimate that fails."""
     estimates = {name: replace(spec, validate=None) for name, spec in sound.plan.estimates.items()}
     try:
         recording = played(player, sound.schedule.segments)

@@ -113,8 +113,8 @@ def is_suite(file: Path) -> bool:
 
 
 def bench_file(suite: Suite, file: str, name: str) -> str:
-    """Returns the bench that a suite means by a name: the name of a shipped bench, or the path of a bench file. A bench that is
-    stated without a folder or an ending is a shipped bench, as in a plan."""
+    """Returns the shipped bench or the path of the bench file to which a name in a suite refers. As in a plan, a name without a
+    folder or a file extension refers to a shipped bench."""
     written = suite.benches[name].bench
     return written if re.fullmatch(NAME, written) else str(Path(file).parent / written)
 
@@ -122,7 +122,7 @@ def bench_file(suite: Suite, file: str, name: str) -> str:
 def check_suite(
     file: Path | Document, *, at: str | None = None, workers: Workers | None = None, archive: Path | None = None
 ) -> CheckedSuite:
-    """Makes all checks of a suite before a night. The function raises no error, whatever the files contain.
+    """Performs all checks of a suite before a night. The function raises no error, whatever the files contain.
 
     `at`: the earliest local time at which the night may begin, in the time zone of the suite (ISO 8601); by default, now.
     `workers`: processes that share the checks of the plans; by default, processes on this computer. `archive`: folder with the runs
@@ -166,8 +166,8 @@ def check_suite(
 
 
 def _rules(suite: Suite, file: str) -> dict[str, tuple[Bench, Path]]:
-    """Maps names of benches to the bench and the folder of its file, for all benches of the suite that have a check standard.
-    Faults of a bench are reported when its plans are checked."""
+    """Returns the benches of the suite that have a check standard. Maps the name of each bench to the bench and the folder of its
+    file. Faults of a bench are reported when its plans are checked."""
     found = {}
     for name in suite.benches:
         written = bench_file(suite, file, name)

@@ -269,8 +269,8 @@ def _sum(first: str | None, second: str) -> str:
 
 
 def _without(made: Diagnosed, stated: Stated) -> Observed:
-    """Returns the samples of a diagnosis, from which the effects are subtracted. The contribution of the effects is computed for
-    the recorded motion."""
+    """Returns the samples of a diagnosis after subtracting the effects. The contribution of the effects is computed for the
+    recorded motion."""
     weighing = made.diagnosis.grounds.weighing
     fitted = weighing.fitted()
     change = _plus(made, fitted, _additions(made, stated)) - fitted

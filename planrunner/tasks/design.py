@@ -2,7 +2,7 @@
 
 study = design(Path("plans/x.yaml"), Asked())
 study.tables, study.data       what was found
-study.text                     the plan with the chosen design in it
+study.text                     the plan with the chosen design
 """
 
 from __future__ import annotations

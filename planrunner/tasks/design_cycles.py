@@ -89,7 +89,7 @@ def _find(segments: Sequence[Segment], label: str | None) -> Segment:
 
 
 def _turned(cycle: RotationCycle, sign: float) -> RotationCycle:
-    """Returns the cycle; if `sign` is −1, with all its rotations reversed."""
+    """Returns the cycle. If `sign` is −1, all rotations are reversed."""
     return replace(cycle, turns=tuple(sign * turn for turn in cycle.turns))
 
 

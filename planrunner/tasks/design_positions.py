@@ -391,7 +391,7 @@ def _with_positions(checked: Checked, orientations: Mapping[_Mark, str], dwells:
 
 
 def _best(merits: Sequence[Merit]) -> Merit:
-    """Returns, for each criterion, the best value among the sets."""
+    """Returns the best value of each criterion among the sets."""
     one = merits[0]
     return Merit(
         one.observations, one.terms, one.terms, max(m.determinant for m in merits), min(m.trace for m in merits),

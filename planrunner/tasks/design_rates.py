@@ -36,9 +36,9 @@ _COPY = "designed rate "
 
 
 def has_rates_alone(checked: Checked, estimate: str | None = None) -> bool:
-    """Returns True if a plan is suitable only for a design of its rates. This is the case if the plan's first estimate over several
-    rates fits a straight line. The rates may form one sweep or several; `design_rates` can design one sweep, and refuses several
-    with a hint."""
+    """Returns True if a plan is suitable only for a design of its rates. This is the case if the plan's first estimate over
+    several rates fits a straight line. The rates may form one sweep or several. `design_rates` can design only one sweep; it
+    raises an error with a hint if there are several."""
     if checked.schedule is None or checked.plan is None:
         return False
     for name in [estimate] if estimate is not None else checked.plan.estimates:

@@ -70,10 +70,10 @@ class Recorded:
 
 @dataclass(frozen=True, slots=True)
 class Diagnosed:
-    """Contains a diagnosis with its recording, findings about the recording, and a proposal of what to measure next. The proposal
-    is None if no question is open. `declarations`: wrong declarations that were corrected before the diagnosis. `stated`: maps each
-    effect that is known to act to the stated values of its parameters. A value that is stated without a parameter name has the key
-    ''. Such a value applies to all amplitudes. If there is only one parameter, the value applies to this parameter."""
+    """Contains a recording, findings about it, its diagnosis, and a proposal of what to measure next. The proposal is None if no
+    question is open. `declarations`: wrong declarations that were corrected before the diagnosis. `stated`: maps each effect that
+    is known to act to the stated values of its parameters. A value that is stated without a parameter name has the key ''. If the
+    effect has only one parameter, this value applies to it; otherwise, it applies to all amplitudes."""
 
     recorded: Recorded
     diagnosis: Diagnosis
@@ -299,7 +299,7 @@ def _following(recorded: Recorded, found: Diagnosis, log: Findings) -> Next | No
 
 
 def _lasting(item: RecordedSegment) -> RecordedSegment:
-    """Returns the segment; if the plan states no dwell, its dwell is the recorded length."""
+    """Returns the segment. If the plan states no dwell, the recorded duration [s] becomes the dwell of the segment."""
     if item.segment.dwell is not None:
         return item
     return replace(item, segment=replace(item.segment, dwell=item.statistics.duration))

@@ -250,7 +250,7 @@ def diagnose_fleet(
     progress. `skip`: True to omit runs that cannot be diagnosed and add a note about each; otherwise, such a run is an error.
     `kept`: stored results of sealed runs from earlier diagnoses. These results are used again, and new results are added to them.
 
-    Raises `InputError` with all obstacles, and without `skip` also `IntegrityError`.
+    Raises `InputError` with all obstacles. Raises `IntegrityError` if a run folder was changed and `skip` is False.
     """
     listed = _origins(runs, origins, skip=skip)
     labelled = [one for one in listed if isinstance(one, RunOrigin)]
@@ -435,8 +435,8 @@ def _opened(run: Path) -> _Opened:
 def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
     """Returns every run with the names of its device, bench and occasion. If these cannot be determined for a run, its obstacles
     are returned instead. The names come from the user's table and, if it does not state them, from the run folder. `skip`: see
-    `_attempted`. Raises `InputError` for a run that is given twice and for a table with errors; without `skip`, also for all
-    obstacles."""
+    `_attempted`. Raises `InputError` for a run that is given twice and for a table with errors. If `skip` is False, also raises
+    it with all obstacles."""
     log = Findings()
     resolved = [run.resolve() for run in runs]
     for index, run in enumerate(runs):

@@ -26,10 +26,10 @@ LEAST = 4
 def diagnose_night(
     archive: Path, runs: Sequence[str], asked: NightDiagnosis, workers: Workers | None = None
 ) -> Iterator[tuple[JsonObject | None, str]]:
-    """Yields, for each plan, the record of the diagnosis (`fleet` of schemas/night.schema.json), and a remark that states how many
-    runs the diagnosis omits, empty if it omits none. If there is no diagnosis, the record is None and the remark gives the reason.
-    After the plans, up to two further remarks follow, with None as the record: one names the runs of the night that state no
-    device, the other names the damaged runs in the archive.
+    """Yields a record and a remark for each plan. The record is the diagnosis (`fleet` of schemas/night.schema.json). The remark
+    states how many runs the diagnosis omits; it is empty if no run is omitted. If there is no diagnosis, the record is None and
+    the remark gives the reason. After the plans, up to two further remarks follow, with None as the record: one names the runs of
+    the night that state no device, the other names the damaged runs in the archive.
 
     `runs`: names of the run folders that the night made. Raises `InputError` if the index cannot be used.
     """

@@ -55,8 +55,8 @@ class Analysis:
     """Contains an analysis of a run: its folder and its results.
 
     `withheld`: reasons why certificates that the plan requests were not written. `remarks`: notes about the run folder. `before`:
-    number of the previous analysis, if there is one. `same`: True if the numbers of this analysis are equal to those of the
-    previous analysis. `unsigned`: the reason why the bench did not sign the analysis although it should have; empty otherwise.
+    number of the previous analysis, if there is one. `same`: True if this analysis and the previous analysis have equal results.
+    `unsigned`: the reason why the bench did not sign the analysis although it should have; empty otherwise.
     """
 
     folder: Path
@@ -95,8 +95,8 @@ class Evaluated:
 @dataclass(frozen=True, slots=True)
 class Issue:
     """Describes a request for reports after a run: the names of the reports, the run information given with the request, and an
-    earlier run. The earlier run is the folder of a run of the same item, made before the item was adjusted. `ring`: key ring with
-    the keys that the user knows; it verifies the signatures that a report prints."""
+    earlier run. The earlier run is the folder of a run of the same item, made before the item was adjusted. `ring`: the user's key
+    ring; used to verify the signatures that a report shows."""
 
     reports: tuple[str, ...] = ()
     given: Mapping[str, str] = field(default_factory=dict)
@@ -135,7 +135,7 @@ def evaluate_run(
     workers: Workers = ALONE,
 ) -> Evaluated:
     """Does the same as `analyse_run`, but writes nothing. Afterwards, `keep` stores the result as an analysis of the run. The
-    evaluation may run in another process than `keep`. `workers`: processes that share the Monte Carlo draws."""
+    evaluation may run in one process and `keep` in another. `workers`: processes that share the Monte Carlo draws."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
     made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment, workers=workers)
@@ -346,8 +346,7 @@ def report_context(
     amendment: str = "",
     ring: KeyRing | None = None,
 ) -> ReportContext:
-    """Returns all data that a report shows for one analysis. `ring`: key ring with the keys that the user knows; it verifies the
-    signatures of the run.
+    """Returns all data that a report shows for one analysis. `ring`: the user's key ring; used to verify the signatures of the run.
 
     `amendment`: a text that states who amends which analysis and why.
 

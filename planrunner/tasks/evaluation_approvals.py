@@ -65,8 +65,8 @@ def approvals_of_amended(reader: RunReader, plan: Plan, bench: Bench, file: Path
 
 
 def evaluation_approvals(found: Examined, ring: KeyRing | None) -> Iterator[EvaluationApproval]:
-    """Determines whether approvals cover the evaluation of each analysis, for a run whose bench requires approvals. `ring`: key
-    ring with the keys that the user knows. Analyses that cannot be read are omitted, because other checks report them."""
+    """Determines whether approvals cover the evaluation of each analysis, for a run whose bench requires approvals. `ring`: the
+    user's key ring. Analyses that cannot be read are omitted, because other checks report them."""
     data, path = found.given.get(APPROVALS), found.folder.path
     if data is None or BENCH not in found.given:
         return

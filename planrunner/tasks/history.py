@@ -98,7 +98,7 @@ def trend_of(index: Index, device: str, quantity: str, tolerance: str | None = N
 
 def gauge_of(index: Index, quantity: str, wanted: RunFilter) -> tuple[GaugeStudy, str]:
     """Computes the gauge study of a coefficient from the runs that pass the filter. Returns the study and the unit of the
-    coefficient. Raises `InputError` if these runs do not fill the design of a gauge study."""
+    coefficient. Raises `InputError` if these runs do not form a complete gauge study."""
     points = [point for point in index.points(quantity, wanted) if math.isfinite(point.coefficient.value)]
     units = {point.coefficient.unit for point in points}
     hint = "choose runs with --device, --plan, --since and --until that have every combination at least twice"

@@ -1,8 +1,8 @@
 """Stores the results of diagnoses of sealed runs on this computer. After the next night, only the new runs must be diagnosed.
 
-The diagnosis of a run depends on the run, on the program with its libraries and plug-ins, and on the options. The name of the file
-with a result is a digest of all three, so a change of any of them leads to another file. The files are in a folder that only the
-user can change, and can be deleted at any time.
+The diagnosis of a run depends on the run, on the program with its libraries and plug-ins, and on the options. The name of a
+result file is a digest of all three, so a change to any of them leads to a different file. The files are in a folder that only
+the user can change. They can be deleted at any time.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Uses the effects that a diagnosis names: enters them into the plan as an estimate, with uncertainty and budget, or into the
-simulated bench as its effects."""
+"""Adds the effects that a diagnosis names to the plan or to the simulated bench. In the plan, they form an estimate with
+uncertainties and a budget."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ ESTIMATE = "diagnosed"
 
 
 def plan_with_estimate(made: Diagnosed) -> Checked:
-    """Adds an estimate to the plan of a diagnosis. This estimate contains, for each output, the terms that the simulation of the
-    output fits, and the named effects.
+    """Adds an estimate to the plan of a diagnosis. For each output, this estimate contains the named effects and the terms that
+    the simulation of the output fits.
 
     The result is a checked plan: its text is in `plan_bytes`, and the check shows whether its segments can separate the effects.
     Raises `InputError` if none of the named effects can be estimated.

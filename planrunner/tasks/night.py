@@ -2,8 +2,9 @@
 continued where it stopped.
 
 The rules that decide when each test runs are in `planrunner.night.timetable`. The night continues after an event only when the
-event has been written to the night's journal. After a kill or a power failure, the journal and the run folders show where the night
-stopped. The id of a run folder is in the journal before the process of the run starts, so that no run folder is lost.
+event has been written to the night's journal. After a kill or a power failure, the journal and the run folders show where the
+night stopped. The id of a run folder is written to the journal before the process of the run starts, so that no run folder is
+lost.
 """
 
 from __future__ import annotations
@@ -70,10 +71,10 @@ CONTINUED_WITHIN = 24 * 3600.0
 class NightClock:
     """Gives the time of a night. This time never goes back.
 
-    Simulated time advances only when `advance` is called. Real time is measured with the monotonic clock of the computer since the
-    beginning of this process. If someone sets the computer's clock forward, the time of the night advances by the same amount; if
-    someone sets it back, the time of the night does not change. `jump`: called with the number of seconds by which the computer's
-    clock was set.
+    Simulated time advances only when `advance` is called. Real time is measured from the start of this process with the
+    computer's monotonic clock. If someone sets the computer's clock forward, the time of the night advances by the same amount;
+    if someone sets it back, the time of the night does not change. `jump`: called with the number of seconds by which the
+    computer's clock was set.
     """
 
     def __init__(
@@ -357,7 +358,8 @@ class _Night:
     # -- the whole night -------------------------------------------------------------------------------------------------
 
     def can_go_on(self) -> bool:
-        """Returns True if an interrupted night can still be continued in its time."""
+        """Returns True if an interrupted night can still be continued: its closing time has not been reached and, on real
+        benches, its last event is recent enough."""
         now = self._clock.now()
         return now < self._course.hours.closes and (self._sound.virtual or now - self._record.now < CONTINUED_WITHIN)
 

@@ -47,7 +47,7 @@ _APART = 5.0  # K
 
 @dataclass(frozen=True)
 class MenuEntry:
-    """One option for a segment in a proposed plan: the line that states it in the plan, without its label."""
+    """Contains one possible segment of a proposed plan: the keys that state the segment in the plan, except its label."""
 
     orientation: str
     dwell: str
@@ -66,8 +66,8 @@ class MenuEntry:
 
 
 def menu(recorded: Sequence[Segment], models: BenchModels) -> list[MenuEntry]:
-    """Returns the options for segments that may follow the recorded segments. An option states a temperature only if the recorded
-    plan does."""
+    """Returns the possible segments after the recorded segments. A segment states a temperature only if the recorded plan states
+    temperatures."""
     usual = float(np.median([segment.dwell for segment in recorded if segment.dwell]))
     places = _orientations(recorded, models)
     upright = list({tuple(np.round(place[:, 2], 3)): place for place in places}.values())
@@ -213,8 +213,8 @@ class Frame:
 
 @dataclass(frozen=True)
 class Next:
-    """Contains a proposal of what to measure next, and the text of the proposed plan. The text is empty if no segment that the
-    bench can execute helps."""
+    """Contains a proposal of what to measure next, and the text of the proposed plan. The text is empty if the bench can execute
+    no helpful segment."""
 
     proposal: SegmentProposal
     text: str
@@ -238,7 +238,7 @@ class Next:
 
 
 def words(found: SegmentProposal, planned: bool) -> str:
-    """States the proposal in sentences."""
+    """Describes the proposal in sentences. `planned`: True if a plan was made from the proposal."""
     names = [name for name, _ in found.rivals]
     rivals = f"{', '.join(names[:-1])} and {names[-1]}"
     if planned:

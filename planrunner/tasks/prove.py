@@ -30,9 +30,10 @@ class Proof:
     """Compares recomputed results with the stored results of an analysis.
 
     `verdict`: `identical` if all bits of every number are equal. The verdict `within tolerance` is possible only if the stored
-    results were computed by other versions. `largest`: the largest change of a value or of a standard uncertainty, with the name of
-    the coefficient. The change is in units of the stored standard uncertainty, and ∞ if something is missing. `changed`: the
-    versions that differ, each as a pair (stored, now). `stored` is None if the analysis does not state the version.
+    results were computed by other versions. `largest`: the largest change of a value or of a standard uncertainty, with the name
+    of the coefficient. The change is in units of the stored standard uncertainty; it is ∞ if the coefficient is missing from the
+    recomputed results. `changed`: the versions that differ, each as a pair (stored, now). `stored` is None if the analysis does
+    not state the version.
     """
 
     analysis: int
@@ -53,8 +54,8 @@ class Proof:
 
 
 def prove(run: Path, number: int | None = None, notice: Announce | None = None, workers: Workers = ALONE) -> Proof:
-    """Recomputes an analysis of a run, by default the newest one, with the settings of the analysis. Nothing is written. `workers`:
-    processes that share the Monte Carlo draws.
+    """Recomputes an analysis of a run with the settings of the analysis, and writes nothing. `number`: number of the analysis; by
+    default, the newest. `workers`: processes that share the Monte Carlo draws.
 
     Raises `InputError` if the run does not have this analysis, and `IntegrityError` if a file of the run was changed.
     """

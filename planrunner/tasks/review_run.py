@@ -33,7 +33,7 @@ def review_of(
     run: Path, number: int | None = None, notice: Announce | None = None, ring: KeyRing | None = None
 ) -> ReviewContext:
     """Returns the data for the review page of a run and one of its analyses. `number`: the analysis; by default, the newest.
-    `ring`: key ring with the keys that the user knows.
+    `ring`: the user's key ring.
 
     Raises `InputError` if the run has no such analysis, and `IntegrityError` if the folder was changed; `planrunner verify` then
     shows the changes.

@@ -42,7 +42,7 @@ from planrunner.tasks.stamp import after_sealing, stamper_of
 
 @dataclass(frozen=True, slots=True)
 class Retake:
-    """Names recorded segments to reject and repeat: their labels, and the reason."""
+    """Contains the labels of recorded segments that must be rejected and repeated, and the reason."""
 
     labels: tuple[str, ...]
     reason: str

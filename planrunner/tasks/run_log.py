@@ -100,7 +100,8 @@ def require_log(archive: Path) -> RunLog:
 def missing_log(
     archive: Path, runs: Sequence[LoggedRun], remembered: Mapping[str, RememberedHead]
 ) -> LogVerification | None:
-    """Returns the verification of an archive without a log; None if nothing shows that the archive ever had one."""
+    """Returns the verification of an archive without a log; None if nothing shows that the archive ever had a log. `remembered`:
+    as for `verify_log`."""
     found = LogVerification(archive / FOLDER)
     if remembered:
         message = f"the archive has no log, but {next(iter(remembered))} is a tree head of its log"
@@ -192,9 +193,10 @@ def _histories(entries: Iterable[LogEntry]) -> dict[str, _History]:
 class LoggedRun:
     """Contains the data of a run that are compared with the log of its archive.
 
-    `name`: name of the run from its journal; if that cannot be read, from run.json, or else the name of the folder. `told`: the
-    tree head of the log that run.json contains. `events`: number of events in the journal; None if the journal cannot be read.
-    `heads`: maps numbers of events to the digest of the last of these events.
+    `name`: name of the run from its journal. If the journal cannot be read, the name is read from run.json; if this is
+    impossible, it is the name of the folder. `told`: the tree head of the log, as run.json contains it. `events`: number of
+    events in the journal; None if the journal cannot be read. `heads`: maps numbers of events to the digest of the last of these
+    events.
     """
 
     name: str

@@ -30,7 +30,8 @@ from planrunner.tasks.prove import prove
 
 
 def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: str = "") -> RunSignature:
-    """Verifies a run with its samples, and signs it. Returns the signature as a reader who has no key ring sees it.
+    """Verifies a run with its samples, and signs it. Returns the signature in the state that it has for a reader without a key
+    ring.
 
     Raises `InputError` for a run without a seal or an analysis, or for a key that must not sign, and `IntegrityError` for a run
     that was changed.
@@ -52,7 +53,7 @@ def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: 
 
 
 def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, ...]:
-    """Signs what is still unsigned in a run that was made on this computer, with the key of the run's bench. Returns the new
+    """Adds the missing signatures to a run that was made on this computer. Signs with the key of the run's bench. Returns the new
     signatures; empty if everything is already signed.
 
     The whole run is verified first. An analysis is signed only if its results can be recomputed from the samples. `signer`: the key

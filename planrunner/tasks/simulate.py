@@ -1,5 +1,5 @@
-"""Simulates a plan with added effects. For this purpose, an instrument that adds the effects is inserted into the bench; everything
-else is as in any run.
+"""Simulates a plan with added effects. For this purpose, an instrument that adds the effects is inserted into the bench.
+Otherwise, the run is an ordinary run.
 
 The bench file in the run folder contains the added effects. The added effects are therefore used when the run is resumed, estimated
 or diagnosed, and can be reproduced later.
@@ -34,7 +34,7 @@ INSTRUMENT = "added"
 
 @dataclass(frozen=True)
 class Simulation:
-    """Contains the added effects, and the plan, checked on the bench with these effects."""
+    """Contains the added effects, and the plan after it was checked on the bench with these effects."""
 
     sound: Sound
     additions: tuple[Addition, ...]

@@ -22,7 +22,7 @@ from planrunner.signing.time_stamps import StampAuthority, StampError, parse_aut
 
 
 def authority_of(spec: TimeStampsSpec) -> StampAuthority:
-    """Returns the certificates of the authority that a bench names; they were already checked with the bench."""
+    """Returns the certificates of the authority that a bench names. The check of the bench has already verified them."""
     return parse_authority(spec.certificate.encode())
 
 

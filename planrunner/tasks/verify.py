@@ -97,7 +97,7 @@ class Verification:
 
 
 def verify_run(run: Path, ring: KeyRing | None = None, authority: StampAuthority | None = None) -> Verification:
-    """Verifies a run folder with all its samples, signatures and time stamps. `ring`: key ring with the keys that the user knows.
+    """Verifies a run folder with all its samples, signatures and time stamps. `ring`: the user's key ring.
     `authority`: the certificates that verify time stamps. Raises `InputError` if the folder is not a run folder."""
     found = examine(open_run(run), samples="digests")
     signatures = verify_signatures(found, ring)
