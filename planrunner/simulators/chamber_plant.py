@@ -13,14 +13,14 @@ import numpy as np
 
 from planrunner.simulators.live_world import LiveWorld
 
-FULL_RAMP = 0.0  # asked for where the controller is to go as fast as it can
+FULL_RAMP = 0.0  # K/s; the value that means the largest rate
 
 
 class ChamberPlant:
     """Simulates the air of the virtual chamber in a live world.
 
-    `alarms`: numbers of the active alarms. `lowest`, `highest`: limits of the measured temperature. If the temperature rises above
-    `highest`, the chamber switches itself off with the alarm `OVER`; if it falls below `lowest`, with the alarm `UNDER`."""
+    `alarms`: numbers of the active alarms. `lowest`, `highest`: limits of the measured temperature, K. If the temperature leaves
+    this range, the chamber switches itself off with the alarm `OVER` (too warm) or `UNDER` (too cold)."""
 
     OVER, UNDER = 5, 4
 
@@ -56,7 +56,7 @@ class ChamberPlant:
         self._drive()
 
     def set_ramp(self, ramp: float) -> None:
-        """Sets the rate of all further changes of the setpoint; 0 means the largest rate."""
+        """Sets the rate [K/s] of all further changes of the setpoint; 0 means the largest rate."""
         self.ramp = ramp
         self._drive()
 
@@ -75,8 +75,8 @@ class ChamberPlant:
     def disturb(self, *, stuck: bool | None = None, overshoot: float | None = None) -> None:
         """Starts or ends disturbances. If an argument is None, its disturbance does not change.
 
-        `stuck`: True if the air keeps its temperature whatever is commanded. `overshoot`: difference by which the air exceeds every
-        setpoint, K."""
+        `stuck`: True if the air keeps its temperature regardless of commands. `overshoot`: difference by which the air exceeds
+        every setpoint, K."""
         self.stuck = self.stuck if stuck is None else stuck
         self.overshoot = self.overshoot if overshoot is None else overshoot
         self._drive()

@@ -41,6 +41,6 @@ def number(word: str) -> float:
 
 
 def shown(value: float, digits: int = 6) -> str:
-    """Writes a number as instruments do, without trailing zeros or the sign of zero."""
+    """Writes a number as instruments do, without trailing zeros, and with a zero that has no sign."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text

@@ -127,7 +127,7 @@ class Path:
     # -- commands ----------------------------------------------------------------------------------------------------
 
     def turn(self, now: float, rate: float, acceleration: float) -> Path:
-        """Returns the path that changes to a new rate with the given acceleration."""
+        """Returns the path that, from the time `now` [s] on, changes to a new rate [rad/s] with the given acceleration [rad/s²]."""
         angle, first, _ = self.state(now)
         change = (rate - first) / acceleration
         ramp = Glide(now, angle, first, math.copysign(acceleration, change))

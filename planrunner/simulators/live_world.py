@@ -82,9 +82,9 @@ class LiveWorld:
         return now
 
 
-_GRID = 0.02  # s for which slow noise and temperature stand still
+_GRID = 0.02  # s over which slow noise and temperature are constant
 _PIECE = 20_000  # samples made at once
-_FREE_RUNNING = 2  # second part of the key of its noise: apart from those of segments and of switching on
+_FREE_RUNNING = 2  # second part of the key of the random generator; segments and switch-on have other keys
 
 
 class SensorFeed:

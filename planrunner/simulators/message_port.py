@@ -19,8 +19,9 @@ Writer = Callable[[bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """States how messages and replies are separated. `sent_ends`: bytes each of which ends a message. `framing`: `none`; `words` or
-    `ascii`, which are two forms of an error code and a length before a reply; or `prompt`, a separate line with `>` after a reply."""
+    """States how messages and replies are separated. `sent_ends`: each of these bytes ends a message. `framing`: `none`; `words` or
+    `ascii`, which are two forms of an error code and a length before a reply; or `prompt`, a separate line with `>` after a
+    reply."""
 
     sent_ends: bytes = b"\n"
     reply_ends: bytes = b"\n"

@@ -89,7 +89,7 @@ class PseudoTerminal:
         if self.open and not opened:
             import termios
 
-            termios.tcflush(self.master, termios.TCOFLUSH)  # what was not fetched is not for the next one
+            termios.tcflush(self.master, termios.TCOFLUSH)  # unread data are not for the next program
         self.open = opened
         if opened and seen & select.POLLIN:
             with contextlib.suppress(OSError):
@@ -217,7 +217,7 @@ class Address:
 
 
 BITS_A_BYTE = 10.0  # start, eight, stop
-_BUFFERED = 0.25  # s of the wall that the sensor's own buffer holds
+_BUFFERED = 0.25  # s of real time for which the buffer of the sensor holds data
 
 
 @dataclass(slots=True)

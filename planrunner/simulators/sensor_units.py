@@ -27,7 +27,7 @@ _INTEGRITY, _OVERLOAD_X = 0x80, 0x11  # status of a STIM300's cluster
 
 class SensorUnit(Protocol):
     """Simulates the electronics of a sensor, between its samples and its line. `ails`: faults of the sensor (`overload`,
-    `self-test`), which its status reports as far as its frames can show them."""
+    `self-test`). The status in the frames reports a fault if it has a bit for this fault."""
 
     ails: frozenset[str]
 

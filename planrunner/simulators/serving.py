@@ -23,7 +23,7 @@ from planrunner.simulators.message_port import MessagePort, TcpMessages, Termina
 from planrunner.simulators.ports import Address, PseudoTerminal, SerialLine, Socket
 from planrunner.simulators.table_plant import TablePlant
 
-TICK = 0.005  # s between two looks at everything
+TICK = 0.005  # s between two updates
 
 
 class Serving:
@@ -118,7 +118,7 @@ class Serving:
             self.line.reply(self.simulated.sensor.unit.hear(data))
 
     def _strike(self, fault: Fault, begins: bool) -> None:
-        """Applies the change of a fault when it begins, and reverses it when it ends."""
+        """Applies a fault when it begins, and removes the fault when it ends."""
         if fault.fault in ("unplug", "refuse"):
             self._pull(fault, begins)
             return

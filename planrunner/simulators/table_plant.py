@@ -18,7 +18,7 @@ _GRANTED = 1 + 1e-9
 
 @dataclass(slots=True)
 class Axis:
-    """One axis, and what its controller has stored about it.
+    """One axis, with the values that its controller has stored.
 
     `model`: the limits of the axis itself. `lowest`, `highest`: limits of the angles that can be demanded, rad; demands beyond them
     are limited. `trip`: rate [rad/s] above which the axis is switched off. `tracking`: following error [rad] above which the axis
@@ -85,7 +85,7 @@ class TablePlant:
         self._point()
 
     def turn(self, index: int, rate: float, fastest: float, acceleration: float) -> None:
-        """Changes the rate of an axis. The rate is limited to the largest rate, `fastest`."""
+        """Changes the rate of an axis to `rate` [rad/s], which is limited to `fastest` [rad/s]."""
         axis, now = self.axes[index], self.live.before_change()
         fastest, acceleration = self._within(axis, fastest, acceleration)
         axis.limited = "rate" if abs(rate) > fastest * _GRANTED else ""
@@ -97,7 +97,8 @@ class TablePlant:
         self, index: int, amplitude: float, frequency: float, phase: float, rate: float, acceleration: float
     ) -> None:
         """Starts a sine about the last commanded angle of the axis. If several axes perform sines of the same frequency, their
-        phases count from the same moment."""
+        phases count from the same moment. `amplitude`, `phase`: rad. `frequency`: Hz. `rate`, `acceleration`: largest rate and
+        acceleration, rad/s and rad/s²; they limit the amplitude."""
         axis, now = self.axes[index], self.live.before_change()
         path = self.paths.paths[index]
         swinging = [p for p in (path.current(now) for path in self.paths.paths) if isinstance(p, Swing)]
