@@ -32,7 +32,7 @@ class AccelerometerMultiPosition(Method[AccelerometerMultiPositionParameters, Ax
 
     def design(self, request: DesignRequest[AccelerometerMultiPositionParameters]) -> Design | None:
         """Returns the design of each axis at the planned attitudes, with remarks. If the attitudes are not planned, it returns only
-        remarks. Raises `EstimationError` if the keys of the estimate do not fit each other or the bench."""
+        remarks. Raises `EstimationError` if the keys of the estimate contradict each other or the bench."""
         parameters = request.parameters
         _three(parameters.outputs)
         if parameters.reference == "gravity_magnitude":

@@ -5,8 +5,8 @@ segments, also from its samples (`within`). The plan names the effects for each 
 
 The columns come from `planrunner.error_model.effects`, which simulations and diagnoses also use. For the fit to the means, the
 columns are averaged over the segments. The parameters of the effects have the names and units of the catalogue, so that a result
-can be stated in a bench file. An output may be recorded in another unit than a rate or an acceleration, for example in pulse/s. Its
-model is then output = K · (input + Σ …), where K is its fitted scale factor.
+can be stated in a bench file. An output may be recorded in a unit that is not a unit of rate or acceleration, for example in
+pulse/s. Its model is then output = K · (input + Σ …), where K is its fitted scale factor.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ from planrunner.uncertainty.budget import merged
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 DILUTION = "noise of the recorded motion"
-"""Name of the influence of the noise of the channels that show a recorded motion, in budgets."""
+"""In budgets, the name of the influence due to the noise of the channels that show a recorded motion."""
 WITHIN = "within segments"
 """Label of the contrasts within segments, which are fitted together with the means of the segments. A contrast is a weighted sum of
 the differences between samples and the mean of their segment (see `within`)."""
@@ -173,8 +173,8 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         return Known(directions={one.name: np.eye(3)[one.errors.axis] for one in named})
 
     def quantities(self, request: EstimateRequest[ErrorModelParameters]) -> ModelQuantities:
-        """Computes the amplitudes from the means of the segments. Raises `EstimationError` if the plan or the data are not
-        suitable."""
+        """Computes the amplitudes from the means of the segments and, if an output needs this, from its samples. Raises
+        `EstimationError` if the plan or the data are not suitable."""
         parameters = request.parameters
         units = {name: text for one in request.segments for name, text in one.units.items()}
         _known_monitors(parameters, units)
@@ -301,9 +301,9 @@ def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParamet
 
 
 def _reversed_meters(request: EstimateRequest[ErrorModelParameters]) -> list[Said]:
-    """Returns warnings about meters for supply voltage and pressure whose readings have the wrong sign. The gain of a meter is
-    fitted to its readings at the values that the plan states, through the origin. The sign of the gain is the sign of Σ (reading ·
-    stated value)."""
+    """Returns warnings about meters for supply voltage and pressure whose readings have the wrong sign. The gain of a meter is the
+    slope of a straight line through the origin that is fitted to the readings as a function of the values that the plan states. The
+    sign of the gain is the sign of Σ (reading · stated value)."""
     planned = [one.segment for one in request.segments]
     nominal = request.sensor.nominal_supply
     stated = states_of(planned, np.zeros(len(planned)), np.ones(len(planned)), nominal)
@@ -438,11 +438,11 @@ def _fitted(
 
 
 def _of_reference(one: ModelledOutput, outputs: Sequence[ModelledOutput]) -> tuple[CorrelatedError, ...]:
-    """Returns the error that the noise of the channels that show a recorded motion causes in the response of a gyro. This noise
-    makes a fitted response too small, by a fraction between zero and an upper limit (`WithinFit.dilution`). All gyros share these
-    channels. The fraction is therefore at most the largest limit among the gyros whose scale factors are fitted. Accelerometers are
-    left out: they respond to a specific force and, with a lever arm, to the rotation. The noise reduces these responses by
-    different fractions."""
+    """Returns the error in the response of a gyro due to the noise of the channels that show a recorded motion. This noise makes a
+    fitted response too small, by a fraction between zero and an upper limit (`WithinFit.dilution`). All gyros share these channels.
+    The fraction is therefore at most the largest limit among the gyros whose scale factors are fitted. Accelerometers are left out.
+    They respond to a specific force and, with a lever arm, to the rotation, and the noise reduces these two responses by different
+    fractions."""
     if one.within is None or one.errors.kind != "gyro" or not one.within.dilution:
         return ()
     limits = [

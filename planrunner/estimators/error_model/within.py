@@ -1,5 +1,5 @@
-"""Fits, to samples, effects that change an output within segments. First, the shapes are fitted by variable projection; then all
-amplitudes are fitted together with the means in one linear fit.
+"""Fits effects that change an output within segments. The fit uses the samples. First, the shapes are fitted by variable
+projection; then all amplitudes are fitted together with the means in one linear fit.
 
 The samples of a segment are split into their mean and the differences from this mean. For given shapes, such as a time constant,
 the amplitudes are fitted linearly, so that the χ² of this fit is a function of the shapes alone (G. Golub and V. Pereyra, SIAM J.
@@ -481,9 +481,9 @@ class _Problem:
         )
 
     def _dilution(self, moved: Array, left: Array) -> float:
-        """Returns the largest relative change of the response to a recorded motion that the noise of the channels that show the
-        motion can cause. `moved`: array of shape (N,), the model's output due to the motion, minus its mean in each segment; zero in
-        other segments. `left`: array of shape (N,), residuals.
+        """Returns the largest possible relative change of the response to a recorded motion due to the noise of the channels that
+        show this motion. `moved`: array of shape (N,), the model's output due to the motion, minus its mean in each segment; zero
+        in other segments. `left`: array of shape (N,), residuals.
 
         If the regressor x has noise of the variance v, a fitted response β is too small by β·v/var(x) (W. A. Fuller, Measurement
         Error Models, 1987, section 1.1). The residuals contain β²·v and the noise of the output. Their variance divided by the

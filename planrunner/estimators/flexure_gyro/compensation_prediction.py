@@ -2,8 +2,8 @@
 
 To first order, the residual of a set of coefficients at a verification position is M⁻¹·(e − x·δ). Here, e is the noise at this
 position, x is the row of the design matrix for this position, and δ is the error of the coefficients. All sets of coefficients are
-verified with the same noise, so the ratio of two sums of squares scatters less than a ratio of independent sums. Flicker makes the
-errors of calibration and verification correlated: a slow drift that is equal in both cancels. Errors of the table also cancel if a
+verified with the same noise, so the ratio of two sums of squares scatters less than a ratio of independent sums. Flicker correlates
+the errors of calibration and verification, so a slow drift that is equal in both cancels. Errors of the table also cancel if a
 verification position is also a calibration position.
 """
 

@@ -87,7 +87,7 @@ def align(
     follow: float | None = None,
     lasting: float = 0.0,
 ) -> Aligned:
-    """Aligns the sensor: determines its attitude at the end of a segment.
+    """Aligns the sensor, that is, determines its attitude at the end of a segment.
 
     `site`: the point on the Earth at which the sensor is aligned, with its latitude, height and gravity. `constant`: array of shape
     (6,), standard uncertainty of the constant errors of gyros and accelerometers, rad/s and m/s²; used only if the sensor is turned
@@ -209,8 +209,8 @@ def _first(pieces: Iterator[Increments], seconds: float) -> list[Increments]:
 
 def _at_rest(pieces: Sequence[Increments], seconds: float) -> tuple[Array, AtRest]:
     """Returns the mean readings (6,), rad/s and m/s², over the first `seconds`, and the readings in this time as `AtRest`. The
-    white noise is the Allan deviation of means over one second, because slow motion does not increase it. The degrees of freedom of
-    this noise are computed for overlapping differences of white noise."""
+    white noise is the Allan deviation of means over one second, which slow motion does not increase. The degrees of freedom of this
+    noise are computed for overlapping differences of white noise."""
     values = np.hstack([piece.values for piece in pieces] or [np.zeros((6, 0))])
     interval = np.concatenate([piece.interval for piece in pieces] or [np.zeros(0)])
     within = int(np.searchsorted(np.cumsum(interval), seconds * (1 - 1e-9)))
@@ -329,8 +329,8 @@ def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site)
 
 
 def _would_agree(channels: Sequence[str], mean: Array, site: Site) -> list[str]:
-    """Returns the channels that may have the wrong sign. If the sign of only one of these channels is reversed, the rates at rest
-    agree with the Earth's rate. `mean`: array of shape (6,), mean readings at rest, rad/s and m/s²."""
+    """Returns the channels that may have the wrong sign. Reversing the sign of any single one of these channels makes the rates at
+    rest agree with the Earth's rate. `mean`: array of shape (6,), mean readings at rest, rad/s and m/s²."""
     signs = 1.0 - 2.0 * np.eye(len(mean))
     errors = [_rate_error(sign * mean, site) for sign in signs]
     limit = _EARTH_TOLERANCE * site.earth_rate

@@ -186,8 +186,8 @@ def parts(segments: Sequence[S], labels: Sequence[str], pattern: str) -> tuple[S
 
 
 def start_place(request: EstimateRequest[StrapdownNavigationParameters], stop: RecordedSegment, factor: float) -> Site:
-    """Returns the point on the Earth at which the sensor is aligned. Each coordinate is taken from the run information; if it is
-    not given there, from the reference channels; otherwise from the bench's site. `factor`: gravity at the site divided by normal
+    """Returns the point on the Earth at which the sensor is aligned. Each coordinate is taken from the first of these sources that
+    contains it: the run information, the reference channels, the bench's site. `factor`: gravity at the site divided by normal
     gravity. Raises `EstimationError` for run information that is not a place on Earth."""
 
     def place(coordinate: _Coordinate) -> float | None:
@@ -284,8 +284,8 @@ def wandering_sensors(inputs: Inputs, parameters: StrapdownNavigationParameters)
 
 
 def rate_of(quantity: InputQuantity, sensor: SensorModel) -> float:
-    """Returns the SI value [rad/s or m/s²] of one unit of an output. For an output of increments, it is the value of one unit per
-    sample interval."""
+    """Returns the SI value [rad/s or m/s²] of one unit of an output. For an output of increments, returns the SI value of one unit
+    per sample interval."""
     known = unit(quantity.unit)
     increments = known.dimension in (DIMENSIONS["angle"], DIMENSIONS["speed"])
     return known.factor * (sensor.sample_rate if increments else 1.0)

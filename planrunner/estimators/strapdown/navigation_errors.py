@@ -4,8 +4,9 @@ at each knot. A knot is a moment for which the navigator returns attitude, veloc
 Position errors are arcs on the ellipsoid between the navigated and the true position. The radial error rate of a run is the slope
 of a straight line through the origin that is fitted by least squares to the radial error as a function of time. The CEP rate (CEP:
 circular error probable) of one run is √(ln 2) = 0.8326 times this slope. If the two components of the position error are normal
-with equal variances and zero mean, this is the median of the radial error (Titterton and Weston, "Strapdown Inertial Navigation
-Technology", 2nd ed., appendix B). For several runs, the CEP rate is √(ln 2) times the root mean square of their slopes.
+with equal variances and zero mean, the CEP rate is the median of the radial error per unit of time (Titterton and Weston,
+"Strapdown Inertial Navigation Technology", 2nd ed., appendix B). For several runs, the CEP rate is √(ln 2) times the root mean
+square of their slopes.
 """
 
 from __future__ import annotations

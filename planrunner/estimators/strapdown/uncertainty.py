@@ -37,7 +37,7 @@ from planrunner.uncertainty.monte_carlo import square_root
 
 SCHULER_PERIOD = 5064.0  # s, 84.4 min
 PERIODS = {"heading": 360.0, "roll": 360.0}
-"""Periods of the circular quantities, in their units; pitch is not circular: it is limited to ±90 deg."""
+"""Periods of the circular quantities, in their units. Pitch is not circular, because it is limited to ±90 deg."""
 NAMES = {
     "heading": ("deg", said("Azimuth of the unit's y axis after alignment, from true north towards east")),
     "pitch": ("deg", said("Elevation of the unit's y axis after alignment")),
