@@ -240,10 +240,9 @@ class Design:
     """Contains what an estimator states about the planned segments.
 
     `blocks`: one block per output; empty if the estimator has no linear model. `notes`: notes on the planned segments. `extra`:
-    plain data for the designs of other estimates that use this estimate. An estimator that gives coefficients at certain
-    temperatures adds the list `temperatures` [K] to `extra`; the list may be empty. If the names of these coefficients are known,
-    it also adds `names_by_temperature`. `foresight`: a function that computes the prediction of a run. The prediction takes longer
-    than the rest of a design, so it is computed only when a limit, an estimate that uses this one, or a reader needs it.
+    plain data for the designs of other estimates that use this estimate. `foresight`: a function that computes the prediction of a
+    run. The prediction takes longer than the rest of a design, so it is computed only when a limit, an estimate that uses this one,
+    or a reader needs it.
     """
 
     blocks: tuple[DesignBlock, ...]

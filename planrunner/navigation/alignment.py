@@ -70,7 +70,7 @@ def coarse(rate: Array, force: Array) -> Array:
 
 
 class FineAlignment:
-    """Estimates the fine alignment with a Kalman filter. The filter processes the velocities of the navigator at its output times
+    """Computes the fine alignment with a Kalman filter. The filter processes the velocities of the navigator at its output times
     (knots); at the end, it returns the attitude."""
 
     def __init__(

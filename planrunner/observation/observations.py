@@ -238,11 +238,11 @@ def within_segment_noise(
 ) -> WithinSegmentNoise:
     """Determines the noise of the means of one channel, for weights and for uncertainties.
 
-    The variance of each mean is multiplied by its recorded time, and the product is pooled over the segments. If Bartlett's test
-    (Snedecor and Cochran, Statistical Methods, 13.10) finds that the product differs between the segments, each segment keeps its
-    own value. For equal noise, the weights therefore depend only on the recorded time, and not on chance differences between short
-    segments. `channel`: index of the channel. `explained`: array of shape (n,), part of the variance of the means that has another
-    known cause; this part is subtracted.
+    The variance of each mean is multiplied by the recorded time of its segment, and the product is pooled over the segments. If
+    Bartlett's test (Snedecor and Cochran, Statistical Methods, 13.10) finds that the product differs between the segments, each
+    segment keeps its own value. For equal noise, the weights therefore depend only on the recorded time, and not on chance
+    differences between short segments. `channel`: index of the channel. `explained`: array of shape (n,), part of the variance of
+    the means that has another known cause; this part is subtracted.
     """
     error = observations.standard_error[:, channel]
     if observations.expected:

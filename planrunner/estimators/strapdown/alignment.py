@@ -239,8 +239,8 @@ def to_navigation(rotation: Array, variances: Array) -> Array:
 
 
 def levelled_out(density: Array) -> Array:
-    """Returns the noise density (6, 6) of a sensor that rotates about the vertical, for which the noise in the east and north axes
-    is averaged."""
+    """Returns the noise density (6, 6) of a sensor that rotates about the vertical. The rotation makes the noise in the east and
+    north axes equal."""
     found = np.zeros_like(density)
     for k in (0, 3):
         horizontal = (density[k, k] + density[k + 1, k + 1]) / 2
