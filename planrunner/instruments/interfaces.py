@@ -41,7 +41,7 @@ class InstrumentError(Exception):
 
 
 class UnservedError(InstrumentError):
-    """Reports that an instrument cannot execute a schedule. `findings`: all reasons why it cannot."""
+    """Reports that an instrument cannot execute a schedule. `findings`: all reasons."""
 
     def __init__(self, findings: Sequence[Finding]):
         self.findings = tuple(findings)

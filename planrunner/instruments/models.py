@@ -150,8 +150,9 @@ class NoiseModel:
         If remainders are not carried, the probability is largest for an input in the middle of a count. If remainders are carried,
         the sum of the noise is a random walk, which starts anywhere in a count and must stay within it. Consider two walls at the
         distance a from each other. A walk of n steps with the standard deviation σ stays between these walls with a probability of
-        at most exp(−π²·n·σ²/(2·a²)). This follows from the series of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in Solids,
-        3.3. As the walls act only once per step, a is larger than the count by 2·0.5826·σ (D. Siegmund, Sequential Analysis, 10.2).
+        at most exp(−π²·n·σ²/(2·a²)). This bound follows from the series of H. S. Carslaw and J. C. Jaeger, Conduction of Heat in
+        Solids, 3.3. As the walls act only once per step, a is larger than the count by 2·0.5826·σ (D. Siegmund, Sequential
+        Analysis, 10.2).
         """
         if self.resolution == 0 or self.white == 0:
             return 0.0 if self.white else 1.0
@@ -184,12 +185,12 @@ class SensorModel:
     """The sensor under test. `nominal`: maps the name of each declared coefficient to its SI value. Predictions are linearised
     about these values.
 
-    `modes`: operating modes that the driver can set, such as caged or navigation; empty if the sensor has only one. `one_rate`:
-    True if the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. `thermal_lag`: time constant
-    [s] with which the temperature of the sensor follows the temperature of the air; 0 if not declared. `records_angle`: True if the
-    sensor records the table's angle about one axis, so that motion about several axes cannot be recorded. `nominal_supply`: supply
-    voltage [V] at which the effects of the supply are zero. `stabilised`: True if gimbals decouple the outputs from the motion of
-    the table.
+    `modes`: operating modes that the driver can set, such as caged or navigation; empty if the sensor has only one mode.
+    `one_rate`: True if the sensor samples only at `sample_rate` [Hz], False if it can also sample at lower rates. `thermal_lag`:
+    time constant [s] with which the temperature of the sensor follows the temperature of the air; 0 if not declared.
+    `records_angle`: True if the sensor records the table's angle about one axis, so that motion about several axes cannot be
+    recorded. `nominal_supply`: supply voltage [V] at which the effects of the supply are zero. `stabilised`: True if gimbals
+    decouple the outputs from the motion of the table.
     """
 
     kind: str

@@ -86,9 +86,9 @@ class LikelyChannel:
     `unit`: the probable unit. `counts`: True if the numbers are raw counts, of which `per_unit` are one unit. `noise`: standard
     deviation of a sample at rest, in `unit`. `noise` is 0 if the channel is constant at rest, and NaN if the noise is unknown.
     `source`: the evidence for the unit. `source` is `name` if the name of the column states the unit, `size` if the size of the
-    values suggests the unit, and `motion` if turns that the accelerometers also show confirm the unit. `stands`: True if the values
-    of the channel never change. `increments`: True if the column contains the integral over one sample period; in this case,
-    `per_unit` is this period."""
+    values suggests the unit, and `motion` if a comparison with the accelerometers during turns confirms the unit. `stands`: True if
+    the values of the channel never change. `increments`: True if the column contains the integral over one sample period; in this
+    case, `per_unit` is this period."""
 
     name: str
     column: str
@@ -315,8 +315,8 @@ def _one_sensor_a_row(file: AnyFile, columns: Sequence[str]) -> None:
 class _Clock:
     """Observes the time column: rows in which time does not increase, steps longer than `pause` [s], and the total time.
 
-    `times`: times of the rows that were yielded last, s after the first row. `stamp`: the column of the time after the last row has
-    been read; None if the column is not a time."""
+    `times`: times of the rows that were yielded last, s after the first row. `stamp`: the column of the time, which is final only
+    after the last row has been read; None if the column is not a time."""
 
     def __init__(self, stamp: LikelyTime | None, pause: float):
         self._stamp = stamp

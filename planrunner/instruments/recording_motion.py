@@ -31,9 +31,9 @@ _CLEARLY = 3.0  # times this error, and more, for any other explanation of anoth
 class TurnComparison:
     """Contains the result of a comparison of gyros with accelerometers.
 
-    `unit`: unit of the gyros. `axes`: for each of the gyros x, y and z, the axis of the accelerometers about which the gyro
-    measures, with its sign. `error`: median angle [deg] between the direction of gravity that is measured after a turn and the
-    direction that is computed from the gyros."""
+    `unit`: unit of the gyros. `axes`: for each of the gyros x, y and z, the axis in the accelerometers' frame about which the gyro
+    measures, with a sign, such as `-y`. `error`: median angle [deg] between the direction of gravity that is measured after a turn
+    and the direction that is computed from the gyros."""
 
     unit: str
     axes: tuple[str, str, str]

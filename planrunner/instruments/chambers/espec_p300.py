@@ -1,8 +1,8 @@
 """Drives chambers with an Espec P300 or SCP-220 controller, over TCP (port 10001) or a serial line.
 
 The controller answers every command with `OK:` and the command, or with `NA:` and the reason. Before the chamber first runs, its
-upper and lower temperature alarms are set, so that it stops by itself outside these limits. Sources: P300 communication manual; the
-open library of the manufacturer.
+upper and lower temperature alarms are set, so that the chamber stops by itself outside these limits. Sources: P300 communication
+manual; the open library of the manufacturer.
 """
 
 from __future__ import annotations

@@ -307,8 +307,8 @@ def is_hdf5(path: Path, name: str) -> bool:
 
 class UlogFile(_HeldArrays):
     """A flight log of PX4. The name of a column consists of a topic, a field and an index counted from 1, such as
-    `sensor_combined.gyro_rad[1]`; further instances of a topic have a number, as in `sensor_accel.1.x`. Each topic has its own
-    times, so a recording takes all its columns from one topic."""
+    `sensor_combined.gyro_rad[1]`. The name of a further instance of a topic also contains the number of the instance, as in
+    `sensor_accel.1.x`. Each topic has its own times, so a recording takes all its columns from one topic."""
 
     def load(self, file: BinaryIO) -> Mapping[str, object]:
         try:

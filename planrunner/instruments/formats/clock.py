@@ -1,7 +1,7 @@
 """Reads dates and times of day that a recording contains as text, such as `2026-03-04T12:00:00.005Z` or `12:00:00,005`.
 
-A date with a time becomes seconds since 1970-01-01 00:00 UTC. A time without an offset from UTC is taken as UTC, because only
-differences of time matter in a recording. A time of day becomes seconds since midnight.
+A date with a time is converted to seconds since 1970-01-01 00:00 UTC. A time without an offset from UTC is taken as UTC, because
+only differences of time matter in a recording. A time of day is converted to seconds since midnight.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class DateOrder:
         return _days_until(year, other, one) if day_first else _days_until(year, one, other)
 
     def decide(self) -> None:
-        """Decides for the order of day and month in which all dates exist. If both orders are possible, three criteria apply in
-        turn: fewer dates that are earlier than the previous date; fewer days between the earliest and the latest date; the usual
+        """Chooses the order of day and month in which all dates exist. If both orders are possible, three criteria apply in turn:
+        fewer dates that are earlier than the previous date; fewer days between the earliest and the latest date; the usual
         order."""
 
         def cost(day_first: bool) -> tuple[int, int, float, bool]:

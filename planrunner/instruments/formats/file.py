@@ -156,7 +156,7 @@ class FormatFile(ABC, Generic[Keys]):
         return self.columns()
 
     def contents(self) -> tuple[str, ...]:
-        """Returns a description of the contents of a file that contains several tables, with one text for each of them."""
+        """Returns a description of the contents of a file that contains several tables, with one text for each of the tables."""
         return ()
 
     def units(self) -> Mapping[str, str]:

@@ -488,7 +488,7 @@ def of_sensors_alone(file: AnyFile, columns: Sequence[str]) -> AnyFile:
 
 @dataclass(frozen=True, slots=True)
 class LikelyReadings:
-    """The probable arrangement of a table in which each row is one reading, and the column of its time."""
+    """The probable arrangement of a table in which each row is one reading, and the column of the time."""
 
     readings: ReadingColumns
     time: LikelyTime
@@ -659,8 +659,8 @@ def _number_time(
 
 
 def of_minutes(values: Array) -> bool:
-    """Returns True if the numbers state hours, minutes and seconds, as 120059.99 does for 12:00:59.99. Such numbers increase by a
-    step of about 40 after a full minute. `values`: first values of the column."""
+    """Returns True if the numbers state hours, minutes and seconds, for example 120059.99 for 12:00:59.99. At each full minute,
+    such numbers increase by an additional step of about 40. `values`: first values of the column."""
     steps = np.diff(values)
     jumps = steps[steps > 1]
     after_a_minute = ((jumps > 40) & (jumps < 41)) | ((jumps > 4040) & (jumps < 4041))
@@ -804,9 +804,9 @@ def guessed_channel(column: str, first: int = 1) -> Guess:
 
 
 def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
-    """Guesses the unit of a column whose name does not contain it; empty if no unit is plausible. `level`: for a gyro, the
-    largest magnitude in the column; for an accelerometer, the length of the mean vector at rest; for a thermometer, the usual value.
-    `accel_unit`: for a gyro, the unit of the accelerometers."""
+    """Guesses the unit of a column whose name does not contain a unit; empty if no unit is plausible. `level`: for a gyro, the
+    largest magnitude in the column; for an accelerometer, the length of the mean vector at rest; for a thermometer, the usual
+    value. `accel_unit`: for a gyro, the unit of the accelerometers."""
     if sensed == "accel":
         lengths = (
             ("m/s^2", STANDARD_GRAVITY, _GRAVITY_NAMED),

@@ -1,7 +1,8 @@
 """Reads samples in JSON: one value per line (JSON lines), a list of samples, or an object that contains a list for each column.
 
-A sample is an object or a list. A number in an object within the sample has a column name with a point (`gyro.x`). A number in a
-list has a column name with its position, counted from 1 (`gyro[2]`; `data[2]` if the sample itself is a list).
+A sample is an object or a list. The column name of a number in an object within the sample contains a point (`gyro.x`). The column
+name of a number in a list contains the position of the number, counted from 1 (`gyro[2]`; `data[2]` if the sample itself is a
+list).
 """
 
 from __future__ import annotations

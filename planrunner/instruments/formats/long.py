@@ -1,7 +1,7 @@
 """Reads long tables, in which each row is one reading: a time, the name of a channel or sensor, and its value or values.
 
-Readings with the same time become one row. Each channel then has a column with its name (`gyro_x`). If a reading has several
-values, a point and the name of the value's column are appended (`gyroscope.x`).
+Readings with the same time form one row. Each channel then has a column with its name (`gyro_x`). If a reading has several values,
+a point and the name of the value's column are appended (`gyroscope.x`).
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class _Survey:
 
     `names`: the names, each with its index. `count`: number of readings. `ordered`: True if no reading is earlier than the previous
     reading. `fault`: the first reading that is not later than the previous reading with the same name: its row, its name, and the
-    two times, s."""
+    two times, s; None if there is no such reading."""
 
     names: dict[str, int] = field(default_factory=dict)
     count: int = 0

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 MessageBytes = bytes | memoryview
 
 MAX_DEFINITION = 300_000
-"""Maximum number of characters of a definition. The parser usually needs 2 s for such a text; the slowest text that was tried
-needed 12 s."""
+"""Maximum number of characters of a definition. The parser usually needs 2 s for a definition of this length; the slowest
+definition that was tried needed 12 s."""
 MAX_ELEMENTS = 64
 """Maximum length of an array whose elements are columns. Longer arrays are not read."""
 MAX_FIELDS = 5_000
@@ -38,9 +38,9 @@ MAX_FIELDS = 5_000
 MAX_DEPTH = 16
 """Maximum nesting depth of types."""
 _TIMES = {"builtin_interfaces/msg/Time": ["I", "I"], "builtin_interfaces/msg/Duration": ["i", "i"]}
-"""Types of ROS 1 that consist of seconds and nanoseconds."""
+"""Codes of the seconds and nanoseconds in the types for times and durations of ROS 1."""
 _TIMES_2 = {"builtin_interfaces/msg/Time": ["i", "I"], "builtin_interfaces/msg/Duration": ["i", "I"]}
-"""The same types of ROS 2."""
+"""The same codes for ROS 2."""
 _CODES = {
     "bool": "B",
     "byte": "B",

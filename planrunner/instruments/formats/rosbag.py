@@ -38,8 +38,8 @@ _SHOWN = 12  # topics in a message
 
 @dataclass(frozen=True, slots=True)
 class _Fields:
-    """The fields of the messages of a topic, with their units. `type`: the type of the messages; None if they cannot be read, for the
-    reason `problem`."""
+    """The fields of the messages of a topic, with their units. `type`: the type of the messages; None if they cannot be read.
+    `problem`: the reason why they cannot be read; otherwise empty."""
 
     type: MessageType | None
     units: Mapping[str, str]

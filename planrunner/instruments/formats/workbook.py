@@ -32,7 +32,7 @@ from planrunner.plan.span import Span
 ROWS = 2_048
 """Number of rows in one batch."""
 MAX_SHEET = 4_000_000_000
-"""Maximum uncompressed size of a sheet in bytes. It is sufficient for about a million rows of 50 columns."""
+"""Maximum uncompressed size of a sheet in bytes. This size is sufficient for about a million rows of 50 columns."""
 MAX_PART = 100_000_000
 """Maximum uncompressed size, in bytes, of any other part of a workbook, such as the table of its texts. These parts are read as a
 whole."""

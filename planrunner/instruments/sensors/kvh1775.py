@@ -155,7 +155,8 @@ class MultiplexedTemperature:
 
 
 def ask_built_in_test(link: SerialStream, clock: Clock) -> Mapping[str, str]:
-    """Requests the result of the built-in test, as text for the journal; empty if the sensor does not answer."""
+    """Requests the result of the built-in test, and returns this result as text for the journal. The returned mapping is empty if
+    the sensor does not answer."""
     link.write(b"?bit\r\n")
     heard, until = b"", clock.now() + PATIENCE
     while clock.now() < until:

@@ -2,7 +2,8 @@
 doubts.
 
 The sensor's counter determines the times of the samples, which are converted to the bench's clock (`host_clock`). Lost frames
-therefore appear as gaps in time. A driver adds its keys, its decoder and, if it configures the sensor, the commands for this.
+therefore appear as gaps in time. A driver adds its keys, its decoder and, if it configures the sensor, the commands for the
+configuration.
 
 After connecting, the first frames are checked: they must be valid, and must arrive at the rate that the bench file declares.
 """
@@ -222,7 +223,8 @@ class SerialSensor(Generic[P]):
         return FrameCounts() if self._current is None else self._current.counts()
 
     def watch(self) -> Condition:
-        """Returns the doubts since the last query, and the lasting doubts. Silence of the sensor is a fault."""
+        """Returns the doubts since the last query, and the lasting doubts. A fault is included if the sensor has been silent for
+        too long."""
         if not self._streaming:
             self._overhear()
         doubts, self._doubts = (*self._lasting, *self._doubts), {}

@@ -1,8 +1,8 @@
 """Drives the VectorNav VN-100. The sensor sends binary outputs of the common group, or lines of text such as $VNYMR.
 
-A binary message consists of the byte FA, a byte for the groups, a word for each group that names its fields, the fields (low byte
-first), and a CRC-16 (high byte first). A line of text ends with `*` and, in hexadecimal, the exclusive-or of all bytes between `$`
-and `*`.
+A binary message consists of the byte FA, a byte that selects groups, a word for each group that selects fields of the group, the
+fields (low byte first), and a CRC-16 (high byte first). A line of text ends with `*` and, in hexadecimal, the exclusive-or of all
+bytes between `$` and `*`.
 """
 
 from __future__ import annotations

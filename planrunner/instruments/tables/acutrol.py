@@ -1,9 +1,10 @@
-"""Drives tables with an ACUTROL 3000 or ACT2000 controller. The link is GPIB or raw TCP (port 9878), the command language is ACL.
+"""Drives tables with an ACUTROL 3000 or ACT2000 controller. The link is GPIB or raw TCP (port 9878), and the command language is
+ACL.
 
 A command has the form `:Main:Sub axis,argument;Sub axis,argument`; the controller does not reply to it. The status byte shows
 whether a command was accepted; the query `:status:stb?` reads the byte without clearing it. Communication over GPIB follows the
-manual. The framing of replies over TCP has not been confirmed on hardware. Sources: ACUTROL 3000 manual; open drivers of a BD125
-table.
+manual. The framing of replies over TCP has not been confirmed on hardware. Sources: ACUTROL 3000 manual; open-source drivers of a
+BD125 table.
 
 According to public sources, eight bytes with an error code and a length precede each reply over TCP. The sources disagree on the
 form of these bytes: two 32-bit words, or eight characters. The first reply shows which form is right, because the stated length

@@ -1,9 +1,9 @@
 """Computes the input of an integrating sensor: inertial rate and specific force, averaged over every sampling interval.
 
 While the table turns, such a mean is an integral over products of sines of the joint angles. The integral is computed by
-Gauss-Legendre quadrature over stretches of smooth motion, with as many points as the fastest phase requires. Intervals in which a
-ramp begins or ends are therefore as accurate as all others. During a ramp, the rate of a joint is linear in time, so the quadrature
-is exact. For rotation about one axis, the mean rates add up to the angle of the joint.
+Gauss-Legendre quadrature over stretches of smooth motion, with as many points as the fastest phase requires. Therefore, means over
+intervals in which a ramp begins or ends are as accurate as all other means. During a ramp, the rate of a joint is linear in time,
+so the quadrature is exact. For rotation about one axis, the mean rates add up to the angle of the joint.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Simulates the noise of an output, drawn in blocks. Memory and state do not grow with the length of the run.
 
 White noise comes directly from the random generator. Bias instability (flicker) is a sum of Ornstein-Uhlenbeck processes whose
-correlation times are one octave apart. If each has the variance v, their two-sided power density is Σ 2vτ/(1 + (2πfτ)²) ≈
+correlation times are one octave apart. If each process has the variance v, their two-sided power density is Σ 2vτ/(1 + (2πfτ)²) ≈
 v/(2·ln2·f). With v = B²·ln2/π, this is the density B²/(2πf) of IEEE Std 952, and the Allan deviation is flat at B·√(2·ln2/π) =
 0.664·B. A process is exact at the nodes of a grid of `hold` samples, and constant between the nodes. The shortest correlation time
 is twice the interval of the grid; at such short times, white noise dominates.

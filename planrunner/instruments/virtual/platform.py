@@ -206,16 +206,16 @@ class VirtualPlatform:
     # -- how it does it ------------------------------------------------------------------------------------------------
 
     def _draw(self, caging: int, what: int = 0) -> np.random.Generator:
-        """Returns the random generator for one caging. The number 0 is used for properties that never change, such as the biases.
-        This generator is independent of the generators of the segments. `what`: number of the purpose for which random numbers are
-        drawn."""
+        """Returns the random generator for one caging. The caging number 0 is used for properties that never change, such as the
+        biases. This generator is independent of the generators of the segments. `what`: number of the purpose for which random
+        numbers are drawn."""
         return np.random.Generator(
             np.random.SFC64(np.random.SeedSequence(self.world.seed, spawn_key=(caging, what, 0)))
         )
 
     def _cage(self) -> None:
-        """Cages the element. The caged element is level to within the dead zone of the levelling loops. The azimuth of the element
-        differs from caging to caging by the stated repeatability."""
+        """Cages the element. The caged element is level to within the dead region of the levelling loops. The azimuth of the
+        element differs from caging to caging by the stated repeatability."""
         p, draw = self.parameters, self._draw(self.cagings)
         base = base_axes(self.world, np.array([self.world.now()]))[0]
         up = base[:, 2]

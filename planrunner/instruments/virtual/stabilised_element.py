@@ -57,8 +57,8 @@ class Element:
     at: float = 0.0
 
     def release(self, world: World, left: Array) -> Element:
-        """Releases the element, which is then fixed in inertial space except for its drift. `left`: rotation vector (3,) by which
-        the element leaves the dead region, rad."""
+        """Releases the element, which is then fixed in inertial space except for its drift. `left`: rotation vector (3,) of the
+        turn with which the element leaves the dead region, rad."""
         if self.released is not None:
             return self
         now = world.now()

@@ -29,7 +29,7 @@ _ALONG_PARALLEL = 1e-12  # cosine of a heading below which the track keeps its l
 @dataclass(frozen=True, slots=True)
 class TrackProgress:
     """The distance that a carrier has covered along its track. The carrier starts at the time `start` [s] and, with constant
-    acceleration, reaches `speed` [m/s] within `speed_up` [s]. If `period` [s] is given, its velocity is speed·sin(2π·t/period)
+    acceleration, reaches `speed` [m/s] within `speed_up` [s]. If `period` [s] is given, the velocity is speed·sin(2π·t/period)
     instead, where t counts from the start."""
 
     speed: float

@@ -2,8 +2,8 @@
 
 A frame cannot be read early, but buffers and the operating system can delay the reading. Each reading is a point in a diagram of
 the time of reading against the counter. The line that relates the counter to the computer's clock is the highest line below all
-points. It contains an edge of the lower convex hull of the points (Moon, Skelly and Towsley, Estimation and removal of clock skew
-from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network measurements,
+points. This line contains an edge of the lower convex hull of the points (Moon, Skelly and Towsley, Estimation and removal of clock
+skew from network delay measurements, INFOCOM 1999; Zhang, Liu and Xia, Clock synchronization algorithms for network measurements,
 INFOCOM 2002). This method cannot find a constant delay. Therefore the transmission time, and the latency that the sensor reports,
 are subtracted first."""
 
@@ -58,7 +58,7 @@ class FrameCounter:
 
 @dataclass
 class Unwrapping:
-    """Extends a counter beyond its modulus, even if it has completed one or more periods during a pause in the data.
+    """Extends a counter beyond its modulus, even if the counter has completed one or more periods during a pause in the data.
 
     After a pause, it may be unclear whether the counter has completed one more period. There are two possibilities. If the computer
     slept, the delays of reading become as small as before. If frames were lost, the delays remain larger. Readings over `PATIENCE`

@@ -3,8 +3,8 @@
 The functions of `checksums`, `framing` and `columns` that call these kernels document the shapes and meanings of the arguments.
 This module imports numba, so it is imported only when there are bytes to process.
 
-numba compiles a function once for each combination of argument types. A literal number in a call has another type
-(`Literal[int](0)`) than a variable. Such numbers are therefore written as `np.int64(0)`, so that every function is compiled only
+numba compiles a function once for each combination of argument types. In a call, a literal number has a different type
+(`Literal[int](0)`) from a variable. Such numbers are therefore written as `np.int64(0)`, so that every function is compiled only
 once.
 """
 

@@ -2,7 +2,7 @@
 
 Each resource has only one exchange at a time. After a failure, a link is closed and opened again. Unread data are discarded before
 each request. A late reply is therefore never mistaken for the reply to the next request. No operation waits longer than its
-time-out. PyVISA is imported when the first link is opened; The environment variable `PYVISA_LIBRARY` selects its backend.
+time-out. PyVISA is imported when the first link is opened. The environment variable `PYVISA_LIBRARY` selects its backend.
 
 This module also declares the keys in the bench file for the connection and the identification of such an instrument, and the base
 classes of instruments and drivers that use the commands of a controller.
