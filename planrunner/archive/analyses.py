@@ -111,7 +111,7 @@ class StoredAnalysis:
 
 
 def exchanged(path: Path, other: str) -> IntegrityError:
-    """Makes the error about a file that has the content of another file of the run."""
+    """Returns the error for a file that has the content of another file of the run."""
     return IntegrityError(
         f"{path}: it has the content of {other}: files were exchanged; {formats.FROM_BACKUP}", "run-reordered"
     )

@@ -15,8 +15,8 @@ from planrunner.base.documents import Json, JsonObject
 
 
 class IntegrityError(Exception):
-    """A file of a run folder is missing, changed or does not match its schema. The message names the file and the remedy. `code`:
-    the code of the finding that reports this error."""
+    """Reports that a file of a run folder is missing, was changed, or does not match its schema. The message names the file and the
+    remedy. `code`: the code of the finding that reports this error."""
 
     def __init__(self, message: str, code: str = "run-changed"):
         super().__init__(message)
@@ -42,8 +42,8 @@ def to_bytes(value: Json) -> bytes:
 
 
 def digested(value: JsonObject) -> bytes:
-    """Returns the JSON text for a file with its own digest: the last key, `digest`, contains the SHA-256 of the text without this
-    key."""
+    """Returns the JSON text of a file that contains its own digest. The last key, `digest`, contains the SHA-256 of the text
+    without this key."""
     return to_bytes({**value, "digest": hashlib.sha256(to_bytes(value)).hexdigest()})
 
 
@@ -137,8 +137,8 @@ def event_fault(event: Mapping[str, Json]) -> str | None:
 
 @lru_cache(maxsize=1)
 def _events() -> dict[str, Check]:
-    """Maps each kind of event to a function that checks an event of this kind: the keys that all events have, and the keys of the
-    kind."""
+    """Maps each kind of event to the function that checks events of this kind. The function checks the keys that all events have,
+    and the keys that only this kind has."""
     whole = schema("journal-event")
     checks = {}
     for kind, branch in whole["$defs"]["events"].items():

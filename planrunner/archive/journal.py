@@ -57,7 +57,7 @@ _encode = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=
 
 
 def finite(readings: Mapping[str, float]) -> dict[str, float | None]:
-    """Makes readings that JSON can represent: NaN and infinities become null."""
+    """Returns the readings in a form that JSON can represent: NaN and infinities become null."""
     return {name: value if math.isfinite(value) else None for name, value in readings.items()}
 
 
@@ -187,8 +187,8 @@ class JournalScan:
         return event
 
     def _misplaced(self, number: Json, rest: BufferedReader) -> IntegrityError:
-        """Makes the error for a line whose number does not match its position. Such a line shows that lines were removed, inserted
-        or exchanged."""
+        """Returns the error for a line whose number does not match its position. Such a line shows that lines were removed,
+        inserted or exchanged."""
         expected = self.count + 1
         what = f"has the number {str(number)[:20]}, but {expected} is expected here"
         if type(number) is not int:

@@ -66,7 +66,7 @@ class JournalState:
     obtained, and the events about time stamps that could not be obtained. `unstamped_ends`: numbers of certain events `finished`.
     At such an event, a part of the journal had no time stamp, and no event explained why. `renewals`: the time of each event that
     reopened the run with further approvals, and the entries of these approvals. `standards`: for each event that reopened the run
-    on a bench with a check standard, its time and the state of the check standard at that time.
+    on a bench with a check standard, the time of the event and the state of the check standard at that time.
     """
 
     created: JsonObject = field(default_factory=dict)

@@ -1,5 +1,5 @@
-"""Ensures, by a lock, that a run folder has only one writer. When a process ends for any reason, the operating system releases its
-lock."""
+"""Uses a lock to ensure that a run folder has only one writer. When a process ends for any reason, the operating system releases
+its lock."""
 
 from __future__ import annotations
 

@@ -19,7 +19,8 @@ class ProofError(ValueError):
 
 
 def leaf_hash(entry: bytes) -> bytes:
-    """Returns the hash of a leaf of a Merkle tree; its prefix 00 distinguishes leaves from nodes (RFC 9162, 2.1.1)."""
+    """Returns the hash of a leaf of a Merkle tree. The prefix 00 of the hashed data distinguishes leaves from nodes (RFC 9162,
+    2.1.1)."""
     return hashlib.sha256(b"\0" + entry).digest()
 
 

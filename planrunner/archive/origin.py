@@ -85,8 +85,9 @@ def made_here(run: GuardedFolder, first: str) -> bool:
 
 
 def foreign(run: GuardedFolder, first: str) -> str:
-    """Returns the reason why a run folder counts as made elsewhere; empty if this user made it on this computer. If it was made
-    elsewhere, its bench file must not decide to what planrunner connects, or what it signs."""
+    """Returns the reason why a run folder counts as made elsewhere; empty if this user made it on this computer. The bench file of
+    a run that was made elsewhere must not determine the instruments to which planrunner connects, or the data that planrunner
+    signs."""
     try:
         return "" if made_here(run, first) else "you did not make this run folder on this computer"
     except OriginUnknownError as error:

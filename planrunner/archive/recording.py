@@ -179,9 +179,9 @@ def expected_segment(segment: Segment, units: dict[str, str], statistics: Statis
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """Contains the smallest and the largest value of each channel and of the time steps in a block. With these, a watcher can skip
-    blocks in which nothing can be wrong. `values`: smallest and largest value by channel name; NaN if a sample is missing. `steps`:
-    smallest and largest time step between consecutive rows, s; infinite for a single row, NaN if unknown."""
+    """Contains the smallest and the largest value of each channel and of the time steps in a block. A watcher uses these values to
+    skip blocks that cannot contain faults. `values`: smallest and largest value by channel name; NaN if a sample is missing.
+    `steps`: smallest and largest time step between consecutive rows, s; infinite for a single row, NaN if unknown."""
 
     values: Mapping[str, tuple[float, float]]
     steps: tuple[float, float]

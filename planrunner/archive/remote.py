@@ -100,8 +100,8 @@ def fetched(url: str, *, anew: bool = False, notice: Announce | None = None) -> 
     """Makes a private copy of a remote folder, and returns the path of the copy. Unless `anew` is True, files that have not changed
     since an earlier copy are not read again.
 
-    The copy has the files of the remote folder and no others. Raises `InputError` if the folder cannot be read, or has entries that are not
-    accepted.
+    The copy contains exactly the files of the remote folder. Raises `InputError` if the folder cannot be read, or has entries that
+    are not accepted.
     """
     files, root = _opened(url)
     parent, _, name = url.rstrip("/").rpartition("/")
@@ -330,9 +330,9 @@ def push_run(run: Path, archive: str, *, including: str = "") -> Pushed:
     """Writes a sealed run to a remote archive. If the archive already has the run, only the files that the archive lacks are
     written, such as a new analysis.
 
-    `including`: a folder within the run of which at least one file must be in the remote run afterwards. Raises `IntegrityError`
-    for a run that was changed. Raises `InputError` if the run is not sealed, if `including` is missing, if the archive has another
-    run of this name, or if the archive cannot be written.
+    `including`: a folder within the run; afterwards, the remote run must contain at least one file of this folder. Raises
+    `IntegrityError` for a run that was changed. Raises `InputError` if the run is not sealed, if the run has no file in
+    `including`, if the archive has another run of this name, or if the archive cannot be written.
     """
     found = examine(open_run(run), samples="digests")
     found.require_whole()
@@ -437,7 +437,8 @@ def _write(files: AbstractFileSystem, path: str, data: bytes) -> None:
 
 
 def _opened(url: str) -> tuple[AbstractFileSystem, str]:
-    """Returns the file system of a URL, and the path in it. Raises `InputError` if the file system cannot be used."""
+    """Returns the file system of a URL, and the path within this file system. Raises `InputError` if the file system cannot be
+    used."""
     try:
         from fsspec.core import url_to_fs
     except ImportError:

@@ -471,7 +471,7 @@ class RunWriter:
             log.append(event, self._name, events=self._journal.count, head=self._journal.head, seal=seal)
 
     def _account(self, parts: list[Part]) -> None:
-        """Records the end of the segment in the journal, by an event that names the segment's files."""
+        """Records the end of the segment in the journal. The event names the segment's files."""
         self._point.files.update((part.file, part.sha256) for part in parts)
         self._segment = None
 

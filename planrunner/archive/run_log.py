@@ -78,7 +78,7 @@ class LogEntry:
 
     @classmethod
     def from_json(cls, value: Json) -> LogEntry | None:
-        """Reads an entry; None if the data are not an entry."""
+        """Reads an entry from JSON data; returns None if the data are not an entry."""
         if not isinstance(value, dict) or not set(value) <= set(cls.__slots__):
             return None
         numbers, texts = ("seq", "events"), ("at", "event", "run", "head", "seal", "why")
@@ -287,13 +287,13 @@ def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tup
 
 
 def unwritable(archive: Path, error: OSError) -> InputError:
-    """Makes the error for a log that cannot be written."""
+    """Returns the error for a log that cannot be written."""
     message = f"the log of the archive cannot be written: {error.strerror or error}"
     return InputError.at(Mark(str(archive / FOLDER)), "log-unwritable", message, "make room, or change its permissions")
 
 
 def _parsed(line: bytes) -> LogEntry | None:
-    """Reads the entry in a line of the log; None if the line is not an entry."""
+    """Reads the entry in a line of the log; returns None if the line is not an entry."""
     try:
         value: Json = formats.from_bytes(line)
     except ValueError:

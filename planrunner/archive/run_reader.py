@@ -93,7 +93,7 @@ class RunReader:
 
     @property
     def instruments(self) -> dict[str, dict[str, str]]:
-        """Maps the name of each instrument to its description of itself."""
+        """Maps the name of each instrument to the description that the instrument gave of itself."""
         return self.state.instruments
 
     @property
@@ -180,7 +180,7 @@ class RunReader:
         return tuple(segments)
 
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:
-        """Returns the samples of a segment in blocks of bounded size; all channels if `channels` is None."""
+        """Returns the samples of a segment in blocks of bounded size. `channels`: the channels to return; None for all channels."""
         return _blocks((SegmentData(self.folder, part) for part in item.parts), channels)
 
     # -- integrity -----------------------------------------------------------------------------------------------------

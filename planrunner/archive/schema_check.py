@@ -24,7 +24,7 @@ FIRST_YEAR, LAST_YEAR = 1971, 9000  # range that every time zone and every syste
 
 
 def compile_schema(schema: Mapping[str, Json], whole: Mapping[str, Json]) -> Check:
-    """Compiles a schema to a function that checks data. `whole`: the document that `$ref` refers to. Raises ValueError for an
+    """Compiles a schema into a function that checks data. `whole`: the document that `$ref` refers to. Raises ValueError for an
     unsupported keyword."""
     return _compiled(schema, whole, {})
 

@@ -22,7 +22,7 @@ def seal_of(folder: GuardedFolder, run: str, files: Mapping[str, str], head: str
     """Returns the text of the seal for a run whose journal ends with the digest `head` after `events` events.
 
     `run`: name of the run. `files`: maps the name of each other recorded file to its SHA-256, as computed while the file was
-    written. Raises `OSError`.
+    written. Raises `OSError` if the journal cannot be read.
     """
     with folder.open_file(JOURNAL, MOST_OF_JOURNAL) as journal:
         digests = {**files, JOURNAL: digest_of(journal)}

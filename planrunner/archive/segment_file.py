@@ -356,7 +356,7 @@ class SegmentData:
             raise self._foreign(str(error)[:200]) from None
 
     def blocks(self, channels: Sequence[str] | None = None) -> Iterator[Block]:
-        """Yields the samples, one block for each row group; all channels if `channels` is None."""
+        """Yields the samples, one block for each row group. `channels`: the channels to return; None for all channels."""
         import pyarrow as pa
 
         names = list(self.units) if channels is None else list(channels)

@@ -1,8 +1,9 @@
 """Contains all write operations on a run folder.
 
 Every write of the archive uses a `Storage`. A `Storage` has one of two modes. In the mode `durable`, a write survives a power
-failure, because the file and its folder are synced (fsync). In the mode `flushed`, a write is passed to the operating system, and
-survives only the end of the process. All writes are to a `GuardedFolder`, so that no link can redirect them.
+failure, because the file and its folder are synced (fsync). In the mode `flushed`, a write is passed to the operating system. It
+survives the end of the process, but may be lost in a power failure. All writes are to a `GuardedFolder`, so that no link can
+redirect them.
 """
 
 from __future__ import annotations

@@ -213,8 +213,8 @@ def _entries(found: Examined) -> RecordedEntries | None:
 
 
 def _recorded(found: Examined, standing: RecordedEntries) -> RecordedEntries:
-    """Lists the entries in the folder of samples. The function is called before the journal is read. Every listed file that has an
-    event is therefore in the journal."""
+    """Lists the entries in the folder of samples. The function is called before the journal is read. If a listed file has an event,
+    the journal therefore contains this event."""
     if SEGMENTS not in standing:
         found.error("run-file-missing", f"{found.folder.path / SEGMENTS}: the folder of the samples is missing")
         return {}

@@ -1,8 +1,8 @@
 """Converts the civil time of a night to instants. The windows of a night are stated in local time of day.
 
 Instants are seconds since 1970 UTC, so that durations are correct even if daylight saving begins or ends during the night. A local
-time does not exist if the clocks go forward over it. Such a time is converted as if the clocks had not gone forward. If a local
-time exists twice, because clocks go back, the first instant is used.
+time that the clocks skip when they go forward does not exist. Such a time is converted as if the clocks had not gone forward. If a
+local time exists twice, because clocks go back, the first instant is used.
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ def _waited_for(
     test: PlannedTest, entries: Sequence[str], groups: Mapping[tuple[str | None, ...], Sequence[int]]
 ) -> tuple[int, ...]:
     """Returns the tests of other plans for which a test waits. For each of these plans, the tests with the same device and bench
-    are returned. If there are none, the tests with the same device are returned. If there are none of these either, all tests of
+    are returned. If there are none, the tests with the same device are returned. If there are no such tests either, all tests of
     the plan are returned. `groups`: maps (plan,), (plan, device) and (plan, device, bench) to the tests with these properties."""
     found: list[int] = []
     for entry in dict.fromkeys(entries):

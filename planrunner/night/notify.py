@@ -18,7 +18,7 @@ SIGNATURE = "X-Planrunner-Signature"
 
 
 class NotificationError(Exception):
-    """The error if a notification could not be sent. The message gives the reason; it contains no secret."""
+    """Reports that a notification could not be sent. The message gives the reason; it contains no secret."""
 
 
 def receiver(entry: Notification) -> str:

@@ -1,9 +1,11 @@
 """Makes the record of a night from the events of its journal.
 
     <archive>/nights/<UTC time>-<suite>-<id>/
-      suite.yaml the exact bytes night.jsonl     one event a line, each with the SHA-256 of the line before, on the disk before the
-      night goes on night.json      this record (schemas/night.schema.json), replaced as a whole after each event that changes a
-      test junit.xml  summary.md logs/           output of the process of each attempt
+      suite.yaml     the exact bytes of the suite file
+      night.jsonl    one event per line, each with the SHA-256 of the previous line; an event is on the disk before the night continues
+      night.json     this record (schemas/night.schema.json), replaced as a whole after each event that changes a test
+      junit.xml  summary.md
+      logs/          output of the process of each attempt
 
 Everything in `night.json` follows from the journal, so that a killed night can be continued from the journal alone.
 """

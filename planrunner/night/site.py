@@ -1,7 +1,7 @@
 """Writes the static site of an archive. The site shows runs, devices, benches and coefficients over time, in files that a browser
 opens without a server.
 
-From a file share, browsers do not allow a page to read data files, but they load scripts. The data are therefore written as scripts
+Browsers do not allow a page on a file share to read data files, but they load scripts. The data are therefore written as scripts
 that pass JSON to the page: the runs in chunks (`data-<digest>/runs-0.js` and so on), and one file for each device. The file
 `data.js` names these scripts and is replaced last, so that a reader sees either the old site or the new one. Texts cannot become
 code: the page receives them as JSON strings in ASCII and shows them as text.

@@ -274,7 +274,7 @@ def _moved(order: Sequence[int]) -> set[int]:
 
 def _renamed(content: dict[str, Branch], names: Mapping[str, str], all_labels: Sequence[str]) -> dict[str, Branch]:
     """Returns the content of a plan after renamed segments have been replaced by their new names in the selections of estimates and
-    of the diagnosis. A selection that contains all segments becomes a selection of all segments."""
+    of the diagnosis. A selection that names every segment is replaced by the general selection of all segments."""
     made = dict(content)
     estimates = content["estimates"]
     assert isinstance(estimates, dict)

@@ -79,7 +79,7 @@ class KnownKey:
         return self.owner or self.name
 
     def objection(self, day: date) -> str:
-        """Returns the reason why a signature of this date does not count; empty if it counts.
+        """Returns the reason why a signature made on this date does not count; empty if it counts.
 
         No signature of a revoked key counts. The date of a signature comes from the signer's clock, so it cannot prove that the
         signature was made before the key was revoked.

@@ -141,7 +141,8 @@ def is_encrypted(path: Path) -> bool:
 
 
 def read_private(path: Path, passphrase: bytes | None) -> PrivateKey:
-    """Reads a private key in PEM (PKCS #8) or in the format of OpenSSH."""
+    """Reads a private key in PEM (PKCS #8) or in the format of OpenSSH. Raises `InputError` if the key cannot be read, if the
+    passphrase is missing or wrong, or if the key is not an Ed25519 key."""
     data = _read(path)
     try:
         key = _load(data, passphrase or None)
@@ -171,7 +172,7 @@ def _load(data: bytes, passphrase: bytes | None) -> object:
 
 
 def read_public(path: Path) -> PublicKey:
-    """Reads the public key in a file of OpenSSH."""
+    """Reads the public key in a file of OpenSSH. Raises `InputError` if the file contains no Ed25519 public key."""
     data = _read(path)
     try:
         return parse_public(data.decode("ascii"))

@@ -94,9 +94,8 @@ class RunSignature:
     `file`: name of the file in `signatures/`. `standing`: the result of the check. `standing` is `unknown key` if no key ring was
     given or if the ring lacks the key; all other values are then only claims. `why`: the reason why the signature is not valid;
     empty if it is valid. `owner`: the name of the key in the ring. `name`, `signed`, `comment`, `result`: what the signer states.
-    `signed` is the time of signing in UTC, ISO
-    8601. `analyses`: numbers of the analyses that the signature covers. `current`: True if the signature covers the present seal;
-          False if a bench made it for a seal that the run had before it was reopened.
+    `signed` is the time of signing, ISO 8601 in UTC. `analyses`: numbers of the analyses that the signature covers. `current`: True
+    if the signature covers the present seal; False if a bench made it for a seal that the run had before it was reopened.
     """
 
     file: str
@@ -260,7 +259,7 @@ def lacking_signatures(
     analyses: Iterable[int],
     ring: KeyRing | None,
 ) -> Iterator[tuple[str, str]]:
-    """Yields the signatures that the bench of a sealed run must have made but that are missing, each as a code and a message.
+    """Yields the missing signatures that the bench of a sealed run must make, each as a code and a message.
 
     The bench file requires signatures if it names a key. The key ring also requires them if it contains a key of the bench that is
     valid on the day of the run. The requirement therefore remains even if the bench file is changed or the key is revoked. `made`:

@@ -33,7 +33,7 @@ PATIENCE = 10.0
 
 
 class StampError(ValueError):
-    """The error if a time stamp is missing or not valid. The message gives the reason."""
+    """Reports that a time stamp is missing or not valid. The message gives the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +97,8 @@ reason, or without a reason, these time stamps are not valid."""
 
 
 def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: StampAuthority) -> None:
-    """Raises `StampError` if the certificate of the signer, or a certificate above it in the chain, was revoked so that a stamp of
-    this time is invalid."""
+    """Raises `StampError` if the certificate of the signer, or a certificate above it in the chain, was revoked and the revocation
+    makes a stamp of this time invalid."""
     known = {*authority.certificates, *map(x509.load_der_x509_certificate, reply.signed_data.certificates)}
     signers = {(one.issuer, one.serial_number) for one in reply.signed_data.signer_infos}
     chain = [one for one in known if (one.issuer, one.serial_number) in signers]
@@ -125,7 +125,7 @@ def _require_not_revoked(reply: TimeStampResponse, moment: datetime, authority: 
 
 def stamp_time(token: bytes, digest: str, authority: StampAuthority) -> datetime:
     """Returns the time (UTC) at which the authority stamped a SHA-256 digest (64 hexadecimal digits). Raises `StampError` if the
-    reply is no valid stamp of this digest."""
+    reply is not a valid stamp of this digest."""
     reply = _decoded(token)
     _verify(VerifierBuilder(roots=list(authority.certificates)), reply, digest)
     moment = reply.tst_info.gen_time.astimezone(UTC)

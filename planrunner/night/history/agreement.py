@@ -5,9 +5,9 @@
 with expanded uncertainties U for about 95 %. |E_n| ≤ 1 means agreement (ISO 13528:2022, 9.7; ISO/IEC 17043:2023, B.3.1.3). x is the
 mean of the values of one participant. The standard uncertainty of x is the root mean square of the stated standard uncertainties.
 This uncertainty does not decrease with the number of runs, because most errors that the uncertainty of a bench covers are the same
-in all runs on this bench. The reference X is the value of a named participant. If none is named, it is the mean of all other
-participants, weighted with 1/u². The participant itself is excluded from this mean, because the formula requires independent
-values.
+in all runs on this bench. The reference X is the value of a named participant. If no participant is named, X is the mean of all
+other participants, weighted with 1/u². The examined participant is excluded from this mean, because the formula requires
+independent values.
 """
 
 from __future__ import annotations

@@ -69,8 +69,8 @@ class ControlTest(Enum):
 
 @dataclass(frozen=True)
 class ControlLimits:
-    """Contains the limits of the newest value in a comparison that tests each value alone: with a reference value, or in the
-    Shewhart chart."""
+    """Contains the limits of the newest value in a comparison that tests each value alone. This is the comparison with a reference
+    value, or the Shewhart chart."""
 
     test: ControlTest
     centre: float

@@ -38,7 +38,7 @@ class ComparedCoefficient:
 @dataclass(frozen=True, slots=True)
 class RunComparison:
     """The comparison of several runs. `runs`: the compared runs, the first of which is the reference. `names`: the runs as the user
-    named them; for the copy of a remote run, its URL."""
+    named them; for the copy of a remote run, the URL of the remote run."""
 
     names: tuple[str, ...]
     runs: tuple[RunRow, ...]

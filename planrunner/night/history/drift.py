@@ -11,9 +11,9 @@ the predicted deviation from the last value, together with its expanded uncertai
     |b|·(t − t_last) + k·√(u_line²(t) + τ² + ū²) = permissible
 
 This procedure is method 2, the control chart, of ILAC-G24:2022 / OIML D 10:2022 (7.3), in which the interval follows from the
-scatter and the drift of successive calibrations. NCSLI RP-1 describes the same idea as the variables-data method. If no permissible
-deviation is stated, the calibration is due when the drift alone exceeds the expanded uncertainty of a value, k·√(τ² + ū²), because
-then the last calibration no longer describes the device.
+scatter and the drift of successive calibrations. NCSLI RP-1 calls the corresponding procedure the variables-data method. If no
+permissible deviation is stated, the calibration is due when the drift alone exceeds the expanded uncertainty of a value, k·√(τ² +
+ū²), because then the last calibration no longer describes the device.
 """
 
 from __future__ import annotations

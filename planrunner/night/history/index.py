@@ -438,7 +438,7 @@ def _values(row: CoefficientRow | LimitRow | RecordedAs) -> SqlRow:
 
 
 def _apart(row: _Row, parameters: Mapping[str, str]) -> _Row:
-    """Returns the row of a run for which values of plan parameters were given. The quantities of such a run get other names,
+    """Returns the row of a run for which values of plan parameters were given. The quantities of such a run get different names,
     because its results must not be mixed with the history for other parameter values."""
     return replace(row, quantity=variant_name(row.quantity, parameters)) if parameters else row
 
