@@ -274,8 +274,8 @@ def _knock(address: str) -> None:
 
 
 def _answer_of(future: Future[_Answer], address: str) -> _Answer:
-    """Returns the answer of a task. Raises `ProcessEndedError` if the item cannot be computed because workers or the scheduler end,
-    and `ClusterError` for workers without planrunner."""
+    """Returns the answer of a task. Raises `ProcessEndedError` if the item cannot be computed because workers or the scheduler have
+    ended, and `ClusterError` if the workers do not have planrunner."""
     from concurrent.futures import CancelledError
 
     from distributed import KilledWorker

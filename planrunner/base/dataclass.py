@@ -3,7 +3,7 @@
 Reading and checking a plan needs about 180 record classes. The standard library compiles six functions for each class; this took a
 third of the time of `check`. This module compiles only `__init__`, and classes with the same form of `__init__` share one compiled
 function. The methods for comparison, hashing and representation, and the methods that refuse changes, are closures over the field
-names. In all other respects, such a class is like one of the standard library: for readers, type checkers, `fields`, `replace`,
+names. In all other respects, such a class is like a class of the standard library: for readers, type checkers, `fields`, `replace`,
 `asdict`, `copy` and `pickle`, there is no difference.
 """
 

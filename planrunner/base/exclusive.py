@@ -61,16 +61,16 @@ class ExclusiveFile:
 
 ATTEMPTS = 10
 NOTE_AT = 1
-"""Position at which the note begins. The locked byte is before it, so the note can be read while the lock is held, on Windows
+"""Position at which the note begins. The locked byte precedes the note, so the note can be read while the lock is held, on Windows
 too."""
 LONGEST_NOTE = 300
 NO_LINK = open_flags("O_NOFOLLOW", "O_NONBLOCK", "O_NOCTTY")
 
 
 def _open(path: Path, mode: int) -> int:
-    """Opens the file. It first tries to open the file without creating it. The reason is that, in a shared folder, a system may
-    permit opening an existing file of another user, but refuse this if the call has the option to create the file. `mode`:
-    permissions of the file if it is created."""
+    """Opens the file; creates the file if it does not exist. The first attempt does not have the option to create the file. In a
+    shared folder, a system may permit opening an existing file of another user only without this option. `mode`: permissions of the
+    file if it is created."""
     with contextlib.suppress(FileNotFoundError):
         _hold(os.lstat(path), path)
         try:

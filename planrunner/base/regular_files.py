@@ -2,8 +2,8 @@
 
 Everything that planrunner reads (plans, benches, templates, recordings, run folders) is opened here. A pipe without a writer would
 block the program for ever, `/dev/zero` would fill the memory, and opening a device can move an instrument. The kind of a file is
-therefore checked before it is opened and again afterwards. On Windows, opening a file may wait and follows links. There, only the
-check before opening protects against waiting and links.
+therefore checked before it is opened and again afterwards. On Windows, opening a file may block, and links are followed. There,
+only the check before opening protects against blocking and links.
 """
 
 from __future__ import annotations

@@ -34,7 +34,8 @@ class Calibration(Record):
 
     @property
     def words(self) -> str:
-        """Returns a text that names the certificate and the laboratory. Budgets show it as the source of a stated uncertainty."""
+        """Returns a text that names the certificate and the laboratory. Budgets show this text as the source of a stated
+        uncertainty."""
         return self.certificate + (f" ({self.laboratory})" if self.laboratory else "")
 
 

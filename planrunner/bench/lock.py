@@ -120,8 +120,8 @@ def _named(folder: Path) -> Path:
 
 
 def _names(bench: Bench) -> Mapping[str, str]:
-    """Maps every name under which a real instrument can be addressed to the address as written in the bench file. The order is the
-    same for all runs, so that two runs never wait for each other."""
+    """Returns all names under which the real instruments can be addressed, each with the address in the bench file. The order of
+    the names is the same for all runs, so that two runs never wait for each other."""
     if runs_on_virtual_clock(bench):
         return {}
     found: dict[str, str] = {}

@@ -3,7 +3,7 @@
 The limits of the axes are checked by `planrunner.physics.table_motion`, which the drivers of the tables also use.
 
 A cycle of turns and stops cancels constant errors if its residual over the stops, its residual over the turns, and its mean angle
-are zero. The figures come from `planrunner.physics.rotation_cycle`.
+are zero. `planrunner.physics.rotation_cycle` computes these quantities.
 """
 
 from __future__ import annotations

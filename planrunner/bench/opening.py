@@ -56,8 +56,8 @@ class OpenBench:
     and then disconnects all instruments.
 
     `table`, `chamber`, `sensor`: the instrument of that role, or None. `instruments`: maps the name of each instrument to the
-    instrument. `limits`: descriptions of the limits that the instruments enforce themselves. `watchdog`: the watchdog, if one
-    guards the bench. `safe`: True if the last attempt brought all controlled instruments to their safe state.
+    instrument. `limits`: the limits that the instruments must enforce themselves. `watchdog`: the watchdog, if one guards the
+    bench. `safe`: True if the last attempt brought all controlled instruments to their safe state.
     """
 
     def __init__(self, bench: Bench, clock: RunClock, site: Site):

@@ -15,7 +15,7 @@ MOST = 20
 
 
 class ApprovalRule(Record):
-    """Approvals that a plan needs before it may run on this bench. Only the approvals that the rule states are needed."""
+    """Approvals that a plan needs before it may run on this bench. No other approvals are needed."""
 
     keys: str = key(
         Text(rf"{_PART}(/{_PART}){{0,4}}", "a file in the folder of the bench file or in a folder of it"),

@@ -20,7 +20,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.physics.kinematics import TURN, Angles, TableAxis, quickest_ends, quickest_move
 
 STOPS_LATE = 0.1
-"""Largest difference between the actual and the planned end of a motion, s. It is the time that the executor may wait between two
+"""Largest difference between the actual and the planned end of a motion, s. This is the time that the executor may wait between two
 queries of the table."""
 RATE_ERROR = 1e-3
 """Largest relative difference between an actual and a planned rate."""
@@ -52,7 +52,7 @@ class TableState:
         return replace(self, stopping=0.0) if self.stopping else self
 
     def starts(self) -> list[Array]:
-        """Returns the joint angles at which the table may be when the next motion begins, the planned ones first."""
+        """Returns the joint angles at which the table may be when the next motion begins, the planned angles first."""
         centres = [self.joints, *self.others]
         grids = {grid.tobytes(): grid for grid in map(self._around, centres)}
         return centres + [start for grid in grids.values() for start in grid]

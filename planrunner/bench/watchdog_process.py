@@ -4,9 +4,9 @@ The watchdog reads from its standard input: first the bench that it guards, then
 planrunner controls. The watchdog makes the bench safe in two cases: if the input ends without the word `safe`, and if the heartbeat
 stops for too long. In the second case, it first ends planrunner, because planrunner may hold exclusive connections and might
 continue to send commands. To make the bench safe, it connects to every real instrument that planrunner controlled, using only the
-bench file, and brings the instrument to its safe state. If an instrument hangs or fails, it continues with the next. Instruments to
-which planrunner had only connected are left as they are. The watchdog reports to the run folder and on its standard error stream.
-While the watchdog exists, no other run can use the bench (`bench.lock`).
+bench file, and brings the instrument to its safe state. If an instrument hangs or fails, the watchdog continues with the next
+instrument. Instruments to which planrunner had only connected are left as they are. The watchdog reports to the run folder and on
+its standard error stream. While the watchdog exists, no other run can use the bench (`bench.lock`).
 """
 
 from __future__ import annotations

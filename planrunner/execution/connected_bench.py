@@ -9,8 +9,8 @@ from planrunner.instruments.interfaces import Instrument, OwnLimits, RunClock
 
 
 class ConnectedBench(Protocol):
-    """A bench with connected instruments. `instruments`: all instruments by name, including those with a role. `limits`:
-    descriptions of the limits that the instruments enforce themselves."""
+    """A bench with connected instruments. `instruments`: all instruments by name, including those with a role. `limits`: the limits
+    that the instruments must enforce themselves."""
 
     @property
     def clock(self) -> RunClock: ...

@@ -177,7 +177,7 @@ class LiveReport:
         self._publish()
 
     def beat(self) -> None:
-        """Publishes the state if it is due to be published. The method is called often."""
+        """Publishes the state if a publication is due. The method is called often."""
         if time.monotonic() - self._published >= EVERY:
             self._publish()
 

@@ -300,7 +300,7 @@ def _unsettled(segment: Segment, stability: Stability, wrong: list[str]) -> str:
 
 
 DRIFT_OVER = 60.0
-"""Time over which the drift of a temperature is measured while a segment records, s."""
+"""Time over which the drift of a temperature is measured while a segment is recorded, s."""
 SHOWN = {
     "position_error": ("arcsec", 180 * 3600 / math.pi),
     "rate_error": ("deg/s", 180 / math.pi),

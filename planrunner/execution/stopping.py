@@ -1,5 +1,5 @@
-"""Stops a run on request: the first Ctrl-C ends the run after the segment, the second Ctrl-C or a termination signal ends it at
-once.
+"""Stops a run on request: the first Ctrl-C ends the run after the segment; the second Ctrl-C or a termination signal ends the run
+at once.
 
 The signal handlers only record the request; the executor checks for requests between steps, and makes the bench safe before the run
 ends. A third Ctrl-C raises KeyboardInterrupt, in case a driver does not return. After this exception, the executor also makes the

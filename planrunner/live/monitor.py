@@ -101,7 +101,7 @@ class Activity:
 class _Pulse:
     """The last live state of a run.
 
-    `at`: the time in this live state. `seen`: time at which this live state was first read, s. `alive`: True if the folder of the
+    `at`: time stamp of this live state. `seen`: time at which this live state was first read, s. `alive`: True if the folder of the
     run was locked; None if this has not been tested for this live state.
     """
 

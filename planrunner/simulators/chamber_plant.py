@@ -73,7 +73,7 @@ class ChamberPlant:
         self.alarms = ()
 
     def disturb(self, *, stuck: bool | None = None, overshoot: float | None = None) -> None:
-        """Starts or ends disturbances. If an argument is None, its disturbance does not change.
+        """Starts or ends disturbances. If an argument is None, the corresponding disturbance does not change.
 
         `stuck`: True if the air keeps its temperature regardless of commands. `overshoot`: difference by which the air exceeds
         every setpoint, K."""

@@ -24,8 +24,8 @@ Order = Literal["big", "little"]
 def integers(
     values: NDArray[np.generic] | Sequence[float], width: int, order: Order = "big", signed: bool = True
 ) -> Bytes:
-    """Encodes integers (n,) in two's complement. Returns the bytes, shape (n, width). Values outside the range are clipped to its
-    ends."""
+    """Encodes integers (n,) in two's complement. Returns the bytes, shape (n, width). Values outside the range are clipped to the
+    limits of the range."""
     bits = 8 * width
     low, high = (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if signed else (0, (1 << bits) - 1)
     whole = np.asarray(values)
