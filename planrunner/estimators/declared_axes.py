@@ -19,7 +19,7 @@ from planrunner.plan.units import DIMENSIONS, Unit, unit
 LARGEST_DEVIATION = 0.2
 """A scale factor contradicts its declaration if it deviates from one by more than this value. Data sheets of uncalibrated MEMS
 sensors state tolerances of the sensitivity of up to 10 or 20 %."""
-_UNIT_MATCH = 0.1  # relative: what a scale factor may differ from the ratio of two units
+_UNIT_MATCH = 0.1  # largest relative difference between a scale factor and the ratio of two units
 _UNITS = {
     "angular rate": ("rad/s", "mrad/s", "deg/s", "deg/min", "deg/h", "rev/s", "rev/min"),
     "acceleration": ("m/s^2", "g", "mg", "ug"),

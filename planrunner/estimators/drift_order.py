@@ -27,8 +27,8 @@ from planrunner.plan.schedule import Segment
 COUPLED = 2.0
 """Growth factor of a standard uncertainty above which planrunner comments on the order of the segments. Above this factor, the
 drift increases the uncertainty more than a repetition of all segments would reduce it."""
-_REORDERED = 12  # segments at most, for which another order is proposed
-_ROUNDS = 20  # of exchanges of two segments
+_REORDERED = 12  # most segments for which another order is proposed
+_ROUNDS = 20  # most exchanges of two segments
 _INSEPARABLE = 1e-3  # smallest fraction of a drift function that the terms must not reproduce
 
 
@@ -121,7 +121,7 @@ class _Design:
         place = {segment.label: row for row, segment in enumerate(planned)}
         rows = np.array([place[label] for label in block.labels])
         weights = 1 / np.where(block.sigma > 0, block.sigma, 1.0)
-        weights /= weights.max()  # plans that differ in their dwell alone have the same design
+        weights /= weights.max()  # plans that differ only in their dwell have the same design
         matrix = block.matrix / block.magnitudes * weights[:, None]
         start = np.array([segment.start for segment in planned])
         if not np.ptp(start[rows]) or len(rank.look(matrix).null):

@@ -140,7 +140,7 @@ def expected_recording(
             means[:, k], nominal = _means(request, output, known, felt, assumption)
         noise = output.noise
         variances[:, k] = noise.white**2 * rates
-        # Rounding that does not average out shifts the means, but scatters nothing.
+        # Rounding that does not average out shifts the means, but causes no scatter.
         rounding = noise.rounding(counts, variances[:, k]) * noise.dithers(variances[:, k])
         errors[:, k] = np.sqrt(noise.white**2 / np.maximum(seconds, 1 / rates) + rounding)
         silent = not noise.white and not noise.resolution
@@ -169,7 +169,7 @@ def _poses(request: DesignRequest[object], assumption: Assumption) -> tuple[Pose
     segments: list[Segment] = []
     for segment in request.segments:
         if segment.attitude is None:
-            # A spin of unknown orientation is one about the sensor's z axis, from which mountings count.
+            # A spin in an unknown orientation is assumed to be about the z axis, from which mounting angles are measured.
             segment = replace(
                 segment,
                 attitude=_along(segment.motion.about) if isinstance(segment.motion, Spin) else assumption.attitude,
@@ -211,7 +211,7 @@ def _means(
         return (supply if own.dimension == DIMENSIONS["voltage"] else pressure) / own.factor, True
     turns, forced = (own.dimension == DIMENSIONS[name] for name in ("angular rate", "acceleration"))
     if not (turns or forced or output.senses or own.dimension == unit("pulse/s").dimension):
-        return 0.0, True  # an encoder, a position: nothing that an inertial effect moves
+        return 0.0, True  # an encoder or a position, which no inertial effect changes
     input_ = felt.specific_force if forced or output.senses == "acceleration" else felt.omega
     direction = known.directions.get(output.name)
     if direction is None:

@@ -18,10 +18,10 @@ from planrunner.plan.model import MountedAxis
 from planrunner.plan.schedule import Cycle, Motion, Segment, Spin
 from planrunner.plan.units import unit
 
-_ROUNDING = 1e-9  # relative, of a rate that is the full scale itself
+_ROUNDING = 1e-9  # relative: a larger excess over the full scale is not rounding
 _AXES = "xyz"
 _FELT = 0.05  # fraction of the rate below which an output's axis counts as perpendicular to the rotation axis
-UP = (0.0, 0.0, 1.0)  # about which cycles turn
+UP = (0.0, 0.0, 1.0)  # axis of cycles
 
 
 def beyond_full_scale(request: DesignRequest[object], outputs: Sequence[str], shares: Array) -> list[Remark]:

@@ -156,7 +156,7 @@ def _in_unit(bound: Quantity, coefficient: Coefficient) -> float:
         raise EstimationError(
             f"the limit is in {bound.unit.text}, the coefficient in {coefficient.unit}: write it in {coefficient.unit}"
         )
-    # A limit written in the coefficient's own unit is compared as it was written, without a way through SI and back.
+    # A limit in the coefficient's own unit is compared without a conversion to SI and back.
     return bound.unit.from_si(bound.value) if bound.unit.text == own.text else own.from_si(bound.value)
 
 

@@ -143,7 +143,7 @@ def designed(estimator: Estimator[P], request: DesignRequest[P]) -> Design:
     if any(remark.error for remark in design.remarks):
         return design
     if _foresees(type(estimator)):
-        seen = cast(ForeseesResults[P], estimator).foresee(request)  # it may refuse the segments
+        seen = cast(ForeseesResults[P], estimator).foresee(request)  # may raise an error for unsuitable segments
         return replace(design, foresight=lambda: seen)
 
     @cache

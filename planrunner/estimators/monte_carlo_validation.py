@@ -46,7 +46,7 @@ COLUMNS = (
     *(TableColumn(title, Role.VALUE) for title in _FIGURES),
     TableColumn("validated"),
 )
-_SHARE = 5.0  # the tolerance of validation over that at which draws end (JCGM 101:2008, 8.2)
+_SHARE = 5.0  # tolerance of the validation divided by the numerical tolerance of the draws (JCGM 101:2008, 8.2)
 
 
 R = TypeVar("R", bound=Record, contravariant=True)

@@ -144,7 +144,7 @@ class _Weighed:
         n = len(self.residuals)
         columns = np.column_stack([self.columns, np.eye(n)[:, list(taken)]])
         weighted = self.weights @ columns
-        # What is left of the weights once the columns have taken theirs: χ² = yᵀ·left·y.
+        # Weights after the columns have been fitted: χ² = yᵀ·left·y.
         left = self.weights - weighted @ np.linalg.pinv(columns.T @ weighted) @ weighted.T
         pulled, own = left @ self.residuals, np.diag(left)
         redundancy = np.einsum("ij,ji->i", left, self.covariance)

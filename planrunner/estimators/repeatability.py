@@ -48,10 +48,10 @@ from planrunner.plan.selection import matches
 
 PROBABILITY = 0.95
 _ORDERED = 8  # fewest repeats whose order is tested
-_NAMED = 4  # groups in a sentence
+_NAMED = 4  # most groups named in a sentence
 _TO_COMPARE = 3  # fewest repeats of a group whose scatter is compared with other groups
-_PAUSE = 3.0  # times the median pause between repeats, that separates groups
-_LEAST = 4  # repeats in each third
+_PAUSE = 3.0  # a pause this many times as long as the median pause separates groups
+_LEAST = 4  # fewest repeats in each third
 
 
 class RepeatabilityParameters(Record):

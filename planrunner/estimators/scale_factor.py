@@ -190,7 +190,7 @@ class ScaleFactor(Method[ScaleFactorParameters, LineQuantities]):
 
 
 _ALIKE = 1e-6  # difference of shares that counts as rounding
-_ALONG = 0.5  # share of the rate along an output's axis from which its slope is a scale factor, not a misalignment
+_ALONG = 0.5  # smallest fraction of the rate along an axis for which the slope is a scale factor, not a misalignment
 
 
 def _rows(request: EstimateRequest[ScaleFactorParameters], found: LineQuantities) -> list[AxisResponse]:

@@ -16,11 +16,11 @@ from planrunner.estimators.interface import Estimate, EstimationError, UnfitData
 from planrunner.estimators.tables import Cell, Role, Table, TableColumn, by_columns
 from planrunner.observation.screening import rows_of, without_bad
 
-NAMED = 3  # finds in a sentence
-LISTED = 100  # finds in a table
+NAMED = 3  # most findings named in a sentence
+LISTED = 100  # most findings listed in a table
 SMALL = 0.01
 """Smallest change of a coefficient that is listed, in standard uncertainties."""
-_SILENT = (FindKind.LOST,)  # the gaps in time have a warning of their own
+_SILENT = (FindKind.LOST,)  # there is a separate warning about gaps
 
 
 def estimated(

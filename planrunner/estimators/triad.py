@@ -23,7 +23,7 @@ from planrunner.uncertainty.derivatives import length
 RowFormula = Callable[[Array], Array]
 """Function that computes a quantity (n,) from the coefficients (p, n) of one output."""
 
-_FLAT = 1e-3  # volume of three unit vectors below which they count as lying in a plane
+_FLAT = 1e-3  # volume of three unit vectors below which they count as coplanar
 
 
 def scale_and_misalignments(places: Mapping[int, int], own: int) -> dict[int, RowFormula]:

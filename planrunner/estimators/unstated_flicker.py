@@ -29,7 +29,7 @@ CREDIBLE = 0.95
 """Probability that B is below its bound."""
 _ANGLES = 512  # of B: arctan(B/scale) on an even grid, on which the prior is constant
 _MOST = 256  # observations
-_LEAST = 0.01  # of a variance that flicker within the segments leaves for white noise
+_LEAST = 0.01  # smallest fraction of a variance that counts as white noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -95,7 +95,7 @@ class FineAlignment:
         self._covariance = np.diag([0.0, 0, STILLNESS**2, STILLNESS**2, *[_PRIOR**2] * 3, *before**2])
         self._squares, self._count, self._largest = 0.0, 0, 0.0
         self._each = None if follow is None else follow / seconds  # knots in an interval
-        # For each interval: what its sensor errors leave at its end, and the transition of errors from its start to its end.
+        # For each interval: the errors that its sensor errors cause at its end, and the transition matrix from start to end.
         self._left: list[Array] = []
         self._passed: list[Array] = []
 

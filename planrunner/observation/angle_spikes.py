@@ -26,7 +26,7 @@ from planrunner.base.arrays import Array
 RowNumbers = NDArray[np.int64]
 
 _PIECE = 1 << 14  # samples that are examined together
-_CONTEXT = 128  # samples before and after them
+_CONTEXT = 128  # samples before and after these
 _STRETCH = 64  # samples of a stretch, from which the scale of the deviations is taken
 _LEAST = 20  # samples of a segment that is examined: in a shorter one, a spike's own deviations hide it from `_SUSPECT`
 _SIDE = 3  # neighbours on each side

@@ -16,9 +16,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
-_RESOLVED = (
-    1e-12  # of the largest variance: differences of observations are taken to be known no better than a millionth
-)
+_RESOLVED = 1e-12  # of the largest variance: differences of observations are known to a millionth at best
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -143,7 +143,7 @@ def drift_of(
         kelvin = None if name is None else _temperatures(test, name)
     courses = _courses(start, end, seconds, kelvin, rows, names, by_evidence)
     used = [replace(one, columns=one.columns[rows]) for one in courses]
-    if by_evidence:  # times that are not known, or a temperature that does not change, show nothing
+    if by_evidence:  # unknown times, and a temperature that does not change, show no drift
         used = [one for one in used if np.any(one.columns)]
     return DriftCourses(tuple(used), by_evidence)
 
@@ -180,7 +180,7 @@ def _courses(
     courses = list(in_time(start, end, seconds))
     if kelvin is not None:
         changed = float(np.ptp(kelvin[rows]))
-        if not by_evidence or changed >= CHANGED:  # a thermometer's noise must not explain anything
+        if not by_evidence or changed >= CHANGED:  # the noise of a thermometer must not count as a drift
             found = _with_temperature((start + end) / 2, kelvin, seconds, names)
             courses += [replace(one, changed=changed if changed >= CHANGED else 0.0) for one in found]
     return [one for one in courses if one.name in names]

@@ -10,11 +10,11 @@ from planrunner.base.arrays import Array
 COARSER = 1.2  # of the declared count: a larger common step is another resolution
 DISTINCT = 20  # different values needed to recognise a lattice
 MANY = 4  # different values needed to recognise the lattice of a channel without a declared count
-REPEATED = 4  # mean number of times that each value of a lattice occurs at least
-STUCK = 0.1  # share of samples that repeat the one before, from which on a count is visible in a channel that takes many values
+REPEATED = 4  # each value of a lattice occurs at least this many times on average
+STUCK = 0.1  # fraction of samples equal to their predecessor from which a channel with many values shows a count
 ROUNDED = 1.1  # of the smallest step: steps up to this differ from it by floating-point rounding
-OFF_LATTICE = 0.05  # of a count
-NEAR = 100  # counts between neighbouring values that are compared with a lattice
+OFF_LATTICE = 0.05  # of a count: tolerance of a lattice
+NEAR = 100  # most counts between neighbouring values that are compared with a lattice
 _PIECE = 4096  # values taken at once
 
 

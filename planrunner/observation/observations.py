@@ -19,12 +19,10 @@ from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.observation.refusals import EstimationError, UnfitDataError
 
-_LEAST = 0.01  # of the scatter within a segment that is taken for white whatever is declared
-_FEW = 20  # degrees of freedom, up to which a correlation of means is hardly known
-_BELOW = 1 - 1e-12  # of a correlation of ±1, whose transform is infinite
-SIGNIFICANCE = (
-    0.01  # of the tests that choose weights, compare the two bases of uncertainty, and judge scatter and outliers
-)
+_LEAST = 0.01  # smallest fraction of the scatter within a segment that counts as white noise
+_FEW = 20  # degrees of freedom up to which the correlation of means is poorly known
+_BELOW = 1 - 1e-12  # factor on correlations, because the transform of ±1 is infinite
+SIGNIFICANCE = 0.01  # level of the tests for weights, for the two bases of uncertainty, and for scatter and outliers
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,7 @@ from planrunner.physics.table_motion import about_one_axis
 from planrunner.plan.schedule import RecordedMotion, Rest, Rock, Spin
 from planrunner.plan.units import unit
 
-_REACHED = 0.99  # of full scale
+_REACHED = 0.99  # fraction of full scale from which a sample counts as clipped
 
 
 def observed(
@@ -349,9 +349,9 @@ def _in_si(item: RecordedSegment, name: str, table: Mapping[str, Array]) -> Arra
 
 
 _AVERAGED = 10  # samples of an angle or an attitude, by default
-_GAP = 3.0  # times the median interval: a longer one is a gap, next to which there are no differences
+_GAP = 3.0  # times the median interval: a longer interval is a gap; samples next to it have no differences
 _SUPPOSED = 100.0  # deg/s
-_UNIT = 0.05  # deviation of the norm of a quaternion from 1
+_UNIT = 0.05  # largest deviation of the norm of a quaternion from 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -61,26 +61,26 @@ _NEAR_SCALE, _FAR_SCALE = (
 _NEAR_WIDER, _FAR_WIDER = 1.10, 1.02  # standard deviation of an independent sample from such a median, σ
 _LARGE = 6.2  # mean changes: a piece with a larger change between neighbours, 7σ in white noise, is examined
 _APART = 4.7  # mean changes, 5.3σ in white noise: a piece is examined if a sample next to a large change is farther from its median
-_SPARSE, _STRETCH = 16, 64  # of so many stretches of so many samples one shows the noise of a piece, at little cost
-_FEW = 50  # large changes that are looked at one by one
+_SPARSE, _STRETCH = 16, 64  # every 16th stretch of 64 samples is used to estimate the noise of a piece quickly
+_FEW = 50  # most large changes that are examined one by one
 _SAMPLED = 4096  # distances from which the scale is taken
 _SLOPE_FROM = 16  # differences from which the slope at an end is known well enough
 _UNTRIMMED = 1.113  # mean of all changes of white Gaussian noise over the mean of the smallest 95 %
-_SETTLED = 0.25  # s: so far from a turn to a stop, a change is no part of the turn
+_SETTLED = 0.25  # s after a turn: a later change is not part of the turn
 _JERK = 1.5  # mean changes around a sample, in a segment that may move freely: a smaller deviation is not an outlier
 _LEAST = 16  # samples of a segment that is examined
 _TOGETHER = 8  # good samples between outliers of one burst, at most
-_ROUGH = 1 / 6  # of the second differences of white noise: those of a sine with six samples per period
+_ROUGH = 1 / 6  # of the squared second differences of white noise: value for a sine with six samples per period
 _SPIKE = 3  # samples of a spike, at most
 _MANY, _SHARE, _BURSTS = (
     20,
     1e-3,
     0.05,
-)  # more finds than both, or a larger share of samples in bursts, are the noise's own kind
+)  # more findings than both, or a larger fraction of samples in bursts, belong to the noise
 _KEPT = 10_000  # finds of one kind and channel
-_HELD = 2_000  # stretches of equal samples that are kept to be judged at the end
+_HELD = 2_000  # most stretches of equal samples that are kept for the test at the end
 _SHORT = 64  # lengths of runs that are counted one by one
-_RUNS = 20  # runs from which the usual length is known
+_RUNS = 20  # fewest runs from which the usual length is determined
 _BINS, _FEWEST_BINS = 1024, 64  # means in which steps are sought
 _STEP = 8.0  # robust standard deviations of the differences between neighbouring means
 _LEVEL = 0.25  # of a step: largest change of the level on either side of the step
@@ -89,7 +89,7 @@ _PAUSE, _EARLY = 1.5, 0.5  # sample intervals: a sample is lost, or has come twi
 _JITTER = 0.01  # share of irregular intervals from which the clock jitters
 _LONG_PAUSE = 5.5  # sample intervals: samples are lost, even with jitter
 _ANGLES = 192  # deviations that show how widely a recorded angle scatters
-_LARGEST = 1e100  # a larger number is no measurement
+_LARGEST = 1e100  # a larger number is not a measurement
 _CLIPPED = 10  # samples at the largest value
 
 
@@ -324,7 +324,7 @@ class Screening:
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
         k, room = len(self.channels), min(_PIECE, max(rows, 1))
-        # A piece that is not complete yet, and the samples before what is looked at next.
+        # The piece that is not complete yet, and the samples before it.
         self.values, self.time, self.rows = np.empty((k, room)), np.empty(room), np.empty(room, dtype=np.int64)
         self.filled = 0
         self.low, self.high = np.full(k, math.inf), np.full(k, -math.inf)  # of the blocks that it comes from
@@ -647,7 +647,7 @@ class Screening:
         """Returns the findings of one channel, after the whole segment has been read."""
         stuck = [self._stretch(k, one) for one in self.runs[k].stuck()][:_KEPT]
         if not self.steady and (len(stuck) > _MANY or 2 * sum(one.rows for one in stuck) > self.done):
-            stuck = _as_one(stuck)  # a sensor that moves now and then, with coarse counts or without noise at rest
+            stuck = _as_one(stuck)  # a sensor that moves occasionally and has coarse counts or no noise at rest
         spikes: list[Find] = []
         bursts: list[Find] = []
         for one in self.found[k]:

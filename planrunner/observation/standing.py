@@ -19,7 +19,7 @@ from planrunner.base.arrays import Array
 from planrunner.instruments.models import OutputModel, SensorModel
 from planrunner.plan.schedule import Rest, Spin
 
-_LEAST = 100  # samples of a segment that is judged
+_LEAST = 100  # fewest samples of a segment that is tested
 _READ = 1 << 14  # samples from which the noise of another segment is taken
 _COMPARED = 3  # other segments, the nearest in time
 _WHITE = 1.0

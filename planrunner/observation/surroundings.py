@@ -18,8 +18,8 @@ from planrunner.error_model.observed import REFERENCE_TEMPERATURE, STANDARD_PRES
 from planrunner.instruments.models import NOMINAL_SUPPLY
 from planrunner.plan.units import ZERO_CELSIUS, unit
 
-CHANGED = 1.0  # K within a segment, or between the means of consecutive ones: less is no change
-_SMOOTHING = 10  # coefficients of the polynomial by which a segment's temperature is smoothed, at most
+CHANGED = 1.0  # K, within a segment or between the means of consecutive segments: less counts as no change
+_SMOOTHING = 10  # most coefficients of the polynomial that smooths the temperature of a segment
 _WORTH = 12.0  # gain of twice the log likelihood per coefficient: 3.5 σ, which noise rarely reaches
 _BLOCKS = 256  # means of the thermometer that the polynomial is fitted to
 _EXACT = 1e-9  # K: less noise than this counts as none, and gives no uncertainty of a mean

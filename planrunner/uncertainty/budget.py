@@ -114,7 +114,7 @@ def _budget(one: Measured, k: int, acting: Sequence[Influence], sizes: Array, so
     combined, freedom = one.standard_uncertainty, one.degrees_of_freedom
     if added:
         combined = math.hypot(combined, *(size for size, _ in added))
-        # Welch–Satterthwaite applies to independent contributions only, so what the residuals show counts as one.
+        # Welch–Satterthwaite applies only to independent contributions, so contributions from residuals count as one.
         shown = math.hypot(one.standard_uncertainty, *(size for size, own in added if own.from_residuals))
         others = [(size, own.degrees_of_freedom) for size, own in added if not own.from_residuals]
         freedom = effective_degrees_of_freedom(

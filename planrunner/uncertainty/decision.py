@@ -13,7 +13,7 @@ from planrunner.base.dataclass import dataclass
 CONFIDENCE = 0.95
 
 Rule = Literal["simple", "guarded"]
-_LEAST_FREEDOM = 0.5  # of χ²; with fewer, a measure of scatter is known too poorly to be judged by χ²
+_LEAST_FREEDOM = 0.5  # of χ²; with fewer degrees of freedom, a measure of scatter is known too poorly for χ²
 
 
 class CoefficientRole(StrEnum):
@@ -179,5 +179,5 @@ def _to_bound(bound: float, upper: bool, freedom: float, confidence: float) -> f
     the limit. `upper`: True for an upper limit. `freedom`: degrees of freedom. `confidence`: confidence level of the interval."""
     from scipy.special import chdtri
 
-    beyond = (1 + confidence) / 2 if upper else (1 - confidence) / 2  # chdtri takes the probability above
+    beyond = (1 + confidence) / 2 if upper else (1 - confidence) / 2  # chdtri takes the upper tail probability
     return abs(bound) * abs(1 - math.sqrt(float(chdtri(freedom, beyond)) / freedom))

@@ -15,8 +15,8 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 
-_POINTS = 2000  # of Gauss–Legendre on each smooth stretch of the prior
-_REACH = 9.0  # standard deviations of the prior that are integrated over; the rest has probability 2·10⁻¹⁹
+_POINTS = 2000  # nodes of the Gauss–Legendre integration over the prior
+_REACH = 9.0  # range of integration, in standard deviations of the prior; the rest has the probability 2·10⁻¹⁹
 
 
 @dataclass(frozen=True, slots=True)

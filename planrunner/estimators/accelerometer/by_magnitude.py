@@ -66,7 +66,7 @@ def design(request: DesignRequest[AccelerometerMultiPositionParameters]) -> Desi
     known = [attitude for attitude in attitudes if attitude is not None]
     count = len(attitudes)
     if detection is not None and len(known) < count:
-        return Design(())  # how many poses are found is not known before
+        return Design(())  # the number of poses is not known before the recording
     if count <= len(NAMES):
         short = count < len(NAMES)
         if short or request.parameters.uncertainty == "residual":

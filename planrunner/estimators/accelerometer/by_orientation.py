@@ -163,7 +163,7 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported,
                 words = said(
                     "Component of the {axis} axis's input direction along {across}", axis=letter, across=across
                 )
-            else:  # it was never along gravity: its response across, for a nominal scale factor of one
+            else:  # the axis was never along gravity: cross-axis response for a nominal scale factor of one
                 words = said(
                     "Component of the {axis} axis's input direction along {across} times its scale factor",
                     axis=letter,

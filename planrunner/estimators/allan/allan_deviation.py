@@ -62,9 +62,9 @@ WORDS = {
     "K": said("random walk of the output: K²·τ/3"),
 }
 _FLOOR_FREEDOM = 10.0  # fewest degrees of freedom of the Allan deviation that is reported as the lowest
-_SIGNIFICANT = 2.0  # standard uncertainties of a squared coefficient from zero
+_SIGNIFICANT = 2.0  # a squared coefficient is significant from this number of standard uncertainties
 _SEEN = 2**14  # phase points from which a count is determined
-_NAMED = 3  # lines in a sentence
+_NAMED = 3  # most lines named in a sentence
 
 
 class AllanDeviationParameters(Record):

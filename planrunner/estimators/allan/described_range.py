@@ -133,7 +133,7 @@ def _correlated_rounding(fit: NoiseFit, rows: Sequence[Deviation], count: float)
     m = np.array([row.factor for row in rows], dtype=float)
     spread = np.array([row.value**2 * math.sqrt(2 / row.freedom) for row in rows])
     decay = np.exp(-2 * math.pi**2 * max(float(fit.squares[_WHITE]), 0.0) * m / count**2)
-    left = 4 * carried * 6 / math.pi**2 * decay / m**2  # of 3·Q²/τ², from the correlation at a lag of m
+    left = 4 * carried * 6 / math.pi**2 * decay / m**2  # contribution to 3·Q²/τ² from the correlation at a lag of m
     matters = np.flatnonzero(left > _NEGLIGIBLE * spread)
     return int(matters[-1]) + 1 if len(matters) else 0
 

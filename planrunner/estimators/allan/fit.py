@@ -217,7 +217,7 @@ def fit_noise(
     covariance_of = covariance or covariance_for(factors, lengths, order)
     positive = np.maximum(
         variances, variances[variances > 0].min()
-    )  # counts that alternate give 0 at even averaging factors
+    )  # alternating counts give 0 at even averaging factors
     weighting = np.diag(2 * positive**2 / freedom)
     squares = np.zeros(4)
     for _ in range(_ROUNDS):

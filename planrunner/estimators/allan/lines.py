@@ -26,13 +26,13 @@ from planrunner.estimators.allan.phase import Phase
 
 CHANCE = 1e-6
 """Probability that white noise alone has a line anywhere in the periodogram of a run."""
-_MOST = 8  # lines of a run
-_SHORTEST = 1024  # samples of a run that is searched
+_MOST = 8  # most lines of a run
+_SHORTEST = 1024  # fewest samples of a run that is searched
 _FIRST = (
     128  # lowest frequency that is searched, in periods per run: below, the level of coloured noise is not known well
 )
 _OCTAVE = 4  # bands per octave for the level of the noise
-_ROUNDS = 20  # of the improvement of a frequency
+_ROUNDS = 20  # most steps that improve a frequency
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from planrunner.estimators.interface import EstimationError, UnfitDataError
 
 LONGEST = 2**25  # phase points, 268 MB
 SHORTEST = 3  # phase points that give one second difference
-_PAUSE = 1.5  # sample intervals between two samples that make a gap
+_PAUSE = 1.5  # sample intervals; a longer time between two samples is a gap
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from planrunner.estimators.allan.table import octave_factors
 from planrunner.estimators.interface import DesignRequest, EstimationError, Remark
 from planrunner.plan.quantity import Quantity
 
-LEAST_FREEDOM = 3.0  # of an Allan variance that takes part in the fit
+LEAST_FREEDOM = 3.0  # fewest degrees of freedom of an Allan variance that takes part in the fit
 _NEGLIGIBLE = 1e-6  # probability
 _EXPONENTS = (-2, -1, 0, 1, 2)  # of the kinds of noise that an Allan variance distinguishes
 

@@ -398,7 +398,7 @@ def _coefficient(errors: OutputErrors, own: Unit, one: Amplitude) -> ReportedAmp
     letter = AXES[errors.axis]
     effect, direct = one.effect.id, own.dimension == unit(KINDS[errors.kind]).dimension
     stem = f"{effect}_{one.name}" if one.several else effect
-    # An accelerometer has a place of its own on the table, but the table has one tilt.
+    # Each accelerometer has its own position on the table, but the tilt of the table is common to all.
     common = not one.alone and not isinstance(one.effect, ExplainsTurning)
     name = (
         f"{stem}_{letter}"

@@ -43,8 +43,8 @@ _REWEIGHTED = 2.0  # change of a weight from which the search for the shapes is 
 _KEPT = 12  # evaluations of the columns that are kept
 _MOVED_ROUNDS = 3
 _ROUNDING = 1e-9  # of the largest value of an input once per turn: a mean that is smaller is a rounding error
-_BATCHES = 16  # of a segment, for the judgement whether its noise is white
-_FEWEST_SEGMENTS = 3  # whose contributions to a contrast can be compared
+_BATCHES = 16  # of a segment, for the test whether its noise is white
+_FEWEST_SEGMENTS = 3  # fewest segments whose contributions to a contrast can be compared
 _IN_ONE = 0.8  # Σ e² from which a single segment dominates a contrast
 
 

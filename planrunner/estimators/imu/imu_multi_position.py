@@ -54,7 +54,7 @@ from planrunner.uncertainty.influences import Influence
 
 _RATES, _FORCES = ("rate_x", "rate_y", "rate_z"), ("accel_x", "accel_y", "accel_z")
 A_SENSOR = {"gyro": "a gyro", "accel": "an accelerometer"}
-_EARTH_ALONE = 1.5  # times Earth rate; a table's rate is at least some hundred times as large
+_EARTH_ALONE = 1.5  # Earth rates; the rate of a table is usually at least a hundred Earth rates
 
 
 _TRIADS = {"gyro": said("Gyros"), "accel": said("Accelerometers")}

@@ -22,7 +22,7 @@ Complex = NDArray[np.complex128]
 
 FEWEST_CYCLES = 4
 _APART = 1.5  # oscillations over the record by which two rates must differ to be separated
-_BESIDE = (1.5, 2.5, 3.5, 4.5)  # oscillations over the record from a harmonic, where noise alone is left
+_BESIDE = (1.5, 2.5, 3.5, 4.5)  # oscillations over the record from a harmonic, at which only noise remains
 
 
 class TooLittleError(ValueError):

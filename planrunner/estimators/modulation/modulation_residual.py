@@ -89,7 +89,7 @@ class ModulationResidual:
         followed = {segment.index - 1: segment.motion for segment in moving}
         told = [
             segment for segment in moving if followed.get(segment.index) != segment.motion
-        ]  # an alignment belongs to what follows
+        ]  # an alignment belongs to the segment that follows
         return Design((), notes=tuple(_left(segment, request) for segment in told))
 
     def foresee(self, request: DesignRequest[ModulationResidualParameters]) -> Foresight:

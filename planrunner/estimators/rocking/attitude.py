@@ -16,7 +16,7 @@ from planrunner.base.dataclass import dataclass
 
 UP = np.array([0.0, 0.0, 1.0])
 UPRIGHT = 1e-6  # largest difference between 1 and the cosine for which an axis counts as vertical
-# The axis whose tilt is an arc sine, by the axis that is vertical: R_x·R_z·R_y with y up, R_z·R_y·R_x with x up, R_x·R_y·R_z with z up.
+# For each vertical axis, the axis whose tilt is an arc sine: R_x·R_z·R_y with y up, R_z·R_y·R_x with x up, R_x·R_y·R_z with z up.
 _SINE = {"xzy": (1, 2, 1), "zxy": (2, 0, 0)}
 
 

@@ -42,7 +42,7 @@ def remarks(request: DesignRequest[RockingDriftParameters], runs: Sequence[Run])
         groups = by_state(quadruples(runs))
     except EstimationError as error:
         if any(run.caged_before is False for run in runs):
-            return found  # a run without a cage before it may be the one that was to be caged
+            return found  # a run without caging before it may have been meant as the caged run
         hint = "plan static-1, dynamic-1, dynamic-2, static-2 in each orientation"
         return [*found, Remark("physics-rocking-pattern", str(error), hint, error=True)]
     found += _timing(runs)

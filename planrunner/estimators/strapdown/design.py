@@ -197,7 +197,7 @@ def _expected(
     after.take(np.zeros((len(course), 2)), course, _about_up(stop, len(course), step))
     aligned = after.finish(course[-1])
     start = aligned.covariance[: SIZE + INPUTS, : SIZE + INPUTS]
-    # Errors of the navigation follow those left by the alignment and the constant errors that hid behind them.
+    # Navigation errors follow from the errors after the alignment and from the constant errors that it compensates.
     turned = _turning(moving, rotation, _STEP)
     driven = turned @ np.eye(INPUTS, SIZE + INPUTS, SIZE)
     responses = equations.responses(np.eye(SIZE, SIZE + INPUTS), driven, _STEP)

@@ -26,7 +26,7 @@ from planrunner.observation.drift import DriftCourse, courses_by_evidence
 from planrunner.observation.flicker import mean_covariance
 from planrunner.observation.observations import SIGNIFICANCE, Weighting, WithinSegmentNoise
 
-_MOST_POSITIONS = 0.5  # of the observations: otherwise a drift looks like a change of position
+_MOST_POSITIONS = 0.5  # positions per observation; with more, a drift looks like a change of position
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,8 +30,8 @@ REFERENCES = {
 }
 """Channels that contain the true position of a moving carrier, and their dimensions."""
 _KINDS = (("angular rate", "angle", "deg/s"), ("acceleration", "speed", "m/s^2"))
-_PAUSE = 1.5  # sample intervals between two samples from which one is missing
-_JUMP = 0.5  # sample intervals between two samples below which the clock went wrong
+_PAUSE = 1.5  # sample intervals; after a longer interval, a sample is missing
+_JUMP = 0.5  # sample intervals; after a shorter interval, the clock is wrong
 _RATE_TOLERANCE = 0.02
 
 

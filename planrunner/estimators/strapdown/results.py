@@ -32,7 +32,7 @@ from planrunner.plan.schedule import Rest
 from planrunner.plan.units import STANDARD_GRAVITY
 
 _GYROS = 3
-_SHOWN = 3.0  # standard uncertainties from which the drift of one sensor is named
+_SHOWN = 3.0  # the drift of a sensor is named from this number of standard uncertainties
 
 
 def assemble(request: EstimateRequest[StrapdownNavigationParameters], found: Navigated) -> Estimate:

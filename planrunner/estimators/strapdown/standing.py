@@ -19,12 +19,12 @@ from planrunner.base.dataclass import dataclass
 from planrunner.estimators.strapdown.reading import Increments
 
 _STILL = 2.0  # Earth rates; the alignment accepts gyros whose errors are a tenth of one
-_SIGMAS = 6.0  # of the noise of a mean over the time between knots
-_SAME = math.radians(1.0)  # between attitudes of one position
-_SHOWN = 0.1  # Earth rates: change of the rate about an axis from which its sign can be judged
+_SIGMAS = 6.0  # standard deviations of a mean over the time between knots
+_SAME = math.radians(1.0)  # largest angle between attitudes of one position
+_SHOWN = 0.1  # Earth rates: smallest change of the rate about an axis that shows the sign of a gyro
 _CERTAIN = 4.0  # standard deviations of the slope of readings over expected rates
-_BLOCKS = 128  # of the time, in each of which the readings of a position are averaged
-_SHORTEST = 10.0  # s, of such a block
+_BLOCKS = 128  # most blocks of time, in each of which the readings of a position are averaged
+_SHORTEST = 10.0  # s, shortest block
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.navigation.error_equations import INPUTS, SIZE, TILT, ErrorEquations
 from planrunner.observation.flicker import weighted_covariance
 
-SHORTEST = 10.0  # s, of an interval
+SHORTEST = 10.0  # s, shortest interval
 _AXES = 3
 
 

@@ -16,7 +16,7 @@ from planrunner.base.arrays import Array, Integers
 from planrunner.base.dataclass import dataclass
 from planrunner.estimators.temperature.curve import Curve, curve, groups_of
 
-_BACK = 0.1  # of the range of temperatures: less is the ripple of a chamber's control
+_BACK = 0.1  # of the range of temperatures: a smaller change is ripple of the chamber's controller
 
 
 def branches(temperature: Array, least: float) -> Integers:
@@ -30,7 +30,7 @@ def branches(temperature: Array, least: float) -> Integers:
     if not len(temperature):
         return number
     back = max(least, _BACK * float(np.ptp(temperature)))
-    low = high = 0  # places of the extremes since the last turning point
+    low = high = 0  # indices of the extremes since the last turning point
     rising: bool | None = None
     for place, celsius in enumerate(temperature.tolist()):
         low = place if celsius < temperature[low] else low

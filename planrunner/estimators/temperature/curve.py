@@ -40,9 +40,9 @@ from planrunner.estimators import least_squares
 from planrunner.estimators.interface import EstimationError
 
 FORMS = ("polynomial", "spline")
-FEWEST = 3  # temperatures from which an order can be chosen
+FEWEST = 3  # fewest temperatures from which an order can be chosen
 RULES = ("one_standard_error", "smallest_error")
-_FREE = 1e-6  # of the size of columns: less is rounding
+_FREE = 1e-6  # of the size of columns: smaller values are rounding errors
 _RESIDUALS = 2  # fewest degrees of freedom that remain after all coefficients and ramps
 _EXACT, _TINY = (
     1e-24,

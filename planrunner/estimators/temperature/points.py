@@ -318,7 +318,7 @@ def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: flo
     found = []
     for one in range(int(number[-1]) + 1):
         at, here = own[:, 0] == one, course[number == one]
-        # A branch begins at the extreme with which the one before it ends.
+        # A branch begins at the extreme at which the preceding branch ends.
         begin = float(course[number < one][-1] if one else here[0])
         direction = int(np.sign(here[-1] - begin)) if abs(here[-1] - begin) > width else 0
         squares = np.maximum(left[at], 0.0)

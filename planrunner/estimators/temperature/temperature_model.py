@@ -50,7 +50,7 @@ _RESIDUALS = 2  # fewest residuals that remain after the difference between risi
 _SENSES = {1: "rising", -1: "falling", 0: ""}
 _SEPARABLE = 1e-3  # smallest fraction of a drift that the model must not reproduce; less results from the bins of ramps
 _MANY = 1e6  # degrees of freedom; the plural is the same for all larger numbers, and for infinity
-_WIDEST = 150.0  # K; a width written in degC comes out larger
+_WIDEST = 150.0  # K; a width written in degC is converted to a larger value
 
 
 @dataclass(frozen=True)

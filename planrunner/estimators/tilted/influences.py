@@ -37,7 +37,7 @@ from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.conditions import StatedCondition, influences_on, slopes
 from planrunner.uncertainty.influences import Aspect, Influence, InputQuantity, Inputs
 
-_BESIDE = 1e-6  # rad, of differences
+_BESIDE = 1e-6  # rad, step of numerical derivatives
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ def _conditions(
         yield StatedCondition.single(
             latitude, lambda by: felt(replace(site, latitude=site.latitude + by).earth_rate_enu)
         )
-    if azimuth := inputs.get("azimuth"):  # a table that is turned further east sees the Earth's rate further west
+    if azimuth := inputs.get("azimuth"):  # if the table is turned east, the Earth's rate appears turned west
         yield StatedCondition.single(azimuth, lambda by: felt(rotation_about(UP, by) @ site.earth_rate_enu))
 
 

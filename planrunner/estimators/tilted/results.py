@@ -42,11 +42,7 @@ ROLES = {
     "repeatability": CoefficientRole.SCALE,
     "temperature_sensitivity": CoefficientRole.MAXIMUM,
 }
-ELSEWHERE = (
-    "K",
-    "nonlinearity",
-    "asymmetry",
-)  # also reported at other temperatures; tables show the rest
+ELSEWHERE = ("K", "nonlinearity", "asymmetry")  # also reported at other temperatures; tables show the rest
 HEADLINE = ("K", "temperature_coefficient", "nonlinearity", "asymmetry", "repeatability")
 
 
