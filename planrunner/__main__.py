@@ -1,4 +1,4 @@
-"""The command `planrunner`, also as `python -m planrunner`. The command handles signals before it imports anything slow."""
+"""Runs the command `planrunner`, also as `python -m planrunner`. The command handles signals before it imports anything slow."""
 
 # Of `signal` the part that is built in: importing the rest takes milliseconds in which Ctrl-C would be a traceback.
 import _signal  # type: ignore[import-not-found,unused-ignore]

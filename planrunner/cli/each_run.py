@@ -66,8 +66,8 @@ def archive_of(runs: Sequence[Path]) -> Path:
 
 
 def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: bool) -> int:
-    """Does the work for every run; if it fails for one run, it continues with the next. A failure is printed; with `--json`, it is
-    in `findings` of the run's entry.
+    """Performs the work for every run. If the work fails for one run, the function continues with the next run. The failure is
+    printed; with `--json`, it is also in `findings` of the run's entry.
 
     With several runs, the name of each run precedes its output. The exit code is the highest of all runs.
     """

@@ -1,4 +1,4 @@
-"""`planrunner stamp`: requests time stamps for seals that have none, because the authority did not answer when the run was
+"""`planrunner stamp`: requests the missing time stamps of seals, for example if the authority did not answer when the run was
 sealed."""
 
 from __future__ import annotations

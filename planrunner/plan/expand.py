@@ -117,8 +117,7 @@ def _one_motion(own: State, log: Findings) -> bool:
 
 
 def _swept_once(spec: SegmentSpec, log: Findings) -> bool:
-    """Returns True if no key is swept and also set to a single value, and if rate and motion are not both swept. Otherwise adds a
-    finding."""
+    """Returns False, and adds a finding, if a key is both swept and set to a single value, or if rate and motion are both swept."""
     swept = {axis.key: axis for axis in spec.for_each.axes} if spec.for_each else {}
     for name in swept:
         twin = STATE_TRAITS[name].replaces or name

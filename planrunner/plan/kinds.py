@@ -1,9 +1,9 @@
 """Defines kinds of values. One declaration reads a node of the file, and also describes the permitted values as JSON Schema.
 
-A record is a frozen dataclass derived from `Record` whose fields are made with `key(...)`. This single declaration gives the reader
-(with findings at file:line:column), the JSON Schema for editors, and the reference in `docs/`. Plug-ins declare their parameters in
-the same way. The value of each key has a kind: a scalar, a quantity, a collection, a record, or a kind that depends on the form of
-the node.
+A record is a frozen dataclass derived from `Record` whose fields are made with `key(...)`. The reader (with findings at
+file:line:column), the JSON Schema for editors, and the reference in `docs/` are all derived from this declaration. Plug-ins declare
+their parameters in the same way. The value of each key has a kind: a scalar, a quantity, a collection, a record, or a kind that
+depends on the form of the node.
 
     class Chamber(Record):
         lowest: Quantity = key(QuantityOf("temperature"), "Lowest temperature the chamber reaches.", "-55 degC")
@@ -539,7 +539,8 @@ def read_keys(
 def _meant(
     node: source.Mapping, known: Collection[str], missing: Sequence[str]
 ) -> tuple[dict[str, tuple[Mark, ...]], dict[str, str]]:
-    """Maps each absent key to the unknown keys that may be misspellings of it, and each unknown key to a hint.
+    """Returns two mappings: from each absent key to the unknown keys that may be misspellings of this key, and from each unknown
+    key to a hint.
 
     An unknown key counts as a misspelling of the absent key that it resembles. An unknown key that resembles no absent key may be a
     misspelling of any optional key. If there are at least as many of these unknown keys as there are missing required keys, each of

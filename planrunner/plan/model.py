@@ -371,8 +371,8 @@ def read_plan(root: source.Mapping, log: Findings | None = None) -> tuple[Plan |
 
 
 def parse_plan(text: str, shown: str) -> tuple[Plan | None, Findings]:
-    """Reads the plan in `text`. Returns the plan (None if it cannot be read) and all its findings. No text makes this function
-    raise an exception. `shown`: the file name that the findings state."""
+    """Reads the plan in `text`. Returns the plan (None if it cannot be read) and all its findings. This function raises no
+    exception, whatever the text contains. `shown`: the file name that the findings state."""
     log = Findings()
     try:
         root = source.parse(text, shown, log)

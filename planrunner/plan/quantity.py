@@ -3,7 +3,7 @@
 300 deg/s          a value
 54.7356 deg ± 20 arcsec   with its standard uncertainty
 ±0.5 deg/h         both signs: a sweep over +/-, or a limit around zero
-{value: 54.7356 deg, half_width: 30 arcsec, distribution: rectangular}   anything richer
+{value: 54.7356 deg, half_width: 30 arcsec, distribution: rectangular}   with a half-width and a distribution
 """
 
 from __future__ import annotations

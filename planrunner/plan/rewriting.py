@@ -42,9 +42,9 @@ def cardinal_orientations() -> tuple[Matrix, ...]:
 
 
 def orientation_text(attitude: Matrix, decimals: int = DECIMALS) -> str:
-    """Returns the text with which a plan states the orientation. If the axes are cardinal, the text is words only. Otherwise, it
-    gives the nearest cardinal orientation in words, followed by the turns about x, y and z (in this order) that lead from there to
-    the orientation. `decimals`: largest number of decimals of an angle in degrees."""
+    """Returns the text with which a plan states the orientation. If the axes are cardinal, the text contains only words. Otherwise,
+    it gives the nearest cardinal orientation in words, followed by the turns about x, y and z (in this order) that lead from there
+    to the orientation. `decimals`: largest number of decimals of an angle in degrees."""
     start = max(cardinal_orientations(), key=lambda words: float(np.sum(words * attitude)))
     turns = [
         f"{axis} {_degrees(angle, decimals)} deg"
@@ -145,8 +145,8 @@ def with_dwells(text: str, dwells: Mapping[tuple[int, int], str], orientations: 
 
 
 def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
-    """Replaces the list of moves that begins at `place` (line, column), which count from 1, and returns the new text. Raises
-    `RewriteError` if no list of moves begins there."""
+    """Replaces the list of moves that begins at `place` (line, column), and returns the new text. Lines and columns count from 1.
+    Raises `RewriteError` if no list of moves begins there."""
     for node in _sequences(yaml.compose(text)):
         if (node.start_mark.line + 1, node.start_mark.column + 1) == place and node.value:
             break
@@ -160,7 +160,8 @@ def with_moves(text: str, place: tuple[int, int], moves: Sequence[str]) -> str:
 
 
 def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: Sequence[int] | None = None) -> str:
-    """Replaces the rates of the sweep that begins at (line, column), which count from 1, and returns the new text.
+    """Replaces the rates of the sweep that begins at `place` (line, column), and returns the new text. Lines and columns count from
+    1.
 
     `turns`: the dwell for each rate, in whole turns; if given, the segment with the sweep is replaced by one segment for each rate.
     Raises `RewriteError` if no sweep begins there.

@@ -1,5 +1,5 @@
-"""Collects the run information that a plan requests (serial number, operator, ambient conditions …). The user gives it with `--set`
-or in a file."""
+"""Collects the run information that a plan requests (serial number, operator, ambient conditions …). The user gives this
+information with `--set` or in a file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DEVICE = ("device_serial", "item_identification")
 
 
 def device_of(info: Mapping[str, object]) -> str:
-    """Returns the name of the device in the run information; empty if it states none."""
+    """Returns the name of the device in the run information; empty if no device is stated."""
     return next((str(info[name]) for name in DEVICE if info.get(name)), "")
 
 

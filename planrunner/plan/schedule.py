@@ -2,7 +2,7 @@
 reach and hold.
 
 Segments are pure data in SI units with radians. `planrunner.bench.scheduling` makes the schedule, and the executor executes it.
-Estimators, reports and design read it.
+Estimators, reports and design studies read the schedule.
 """
 
 from __future__ import annotations

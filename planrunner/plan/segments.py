@@ -626,8 +626,8 @@ def _entry(key: SweptKey, item: source.Node, log: Findings) -> list[tuple[object
 
 
 def _is_exact(quantity: QuantityOf, node: source.Scalar, text: str, log: Findings) -> bool:
-    """Returns True if a sweep has no value with an uncertainty. If a value states one, a finding is added, because the uncertainty
-    would not be used."""
+    """Returns True if a sweep has no value with an uncertainty. If a value states an uncertainty, a finding is added, because the
+    uncertainty would not be used."""
     piece = uncertain_piece(text)
     if piece is not None:
         refuse_uncertainty(piece, quantity.elsewhere, node.mark, log)
@@ -683,8 +683,8 @@ def _labelled(key: SweptKey, values: list[tuple[object, Mark]]) -> tuple[SweepVa
 
 
 def _figure(key: SweptKey, quantity: Quantity) -> str:
-    """Returns the number that stands in the label of a swept quantity, expressed in the unit that the plan states. The module's
-    docstring gives the rule for signs."""
+    """Returns the number in the label of a swept quantity, in the unit that the plan states. The module's docstring gives the rule
+    for signs."""
     figure = f"{quantity.unit.from_si(quantity.value):.9g}"
     if float(figure) == 0:
         return "0"

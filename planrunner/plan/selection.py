@@ -79,8 +79,9 @@ def spelt_alike(recorded: str, planned: str) -> bool:
 def closest_label(label: str, known: Iterable[str]) -> str:
     """Returns a hint that suggests the known label, or the pattern, that was probably meant.
 
-    A label that differs only in plus signs is suggested first. The reason is that the table of a recording, or a plan for an older
-    rule, may lack the plus sign in the label of a sweep. Such a label is only suggested; it does not count as a match.
+    A label that differs only in plus signs is suggested first. The reason is that the table of a recording, or a plan written under
+    an older rule for labels, may lack the plus sign in the label of a sweep. Such a label is only suggested; it does not count as a
+    match.
     """
     names = list(known)
     bare = label.replace("+", "")

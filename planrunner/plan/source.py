@@ -387,8 +387,8 @@ class _Builder:
         self._put(node, None, size)
 
     def _put(self, node: Node, anchor: str | None, size: int, inside: int = 0) -> None:
-        """Adds a node to the open collection. `size`: number of nodes that are added with it; an alias counts as all the nodes that
-        it stands for. `inside`: number of nodes within this node that have already been counted."""
+        """Adds a node to the open collection. `size`: number of nodes that are added with it; an alias counts as all the nodes to
+        which it refers. `inside`: number of nodes within this node that have already been counted."""
         self._nodes += 1
         self._written_out += size
         if self._nodes > MAX_NODES:

@@ -1,5 +1,5 @@
-"""Makes the data for the template of a certificate that the data of the report do not contain. These data are plain texts, divided
-into parts that catalogues can translate.
+"""Makes the data for the template of a certificate, except those that the data of the report already contain. All data are plain
+texts, divided into parts that catalogues can translate.
 
 The wording is in the template; names, figures and dates are prepared here. A missing value is an empty text, which the page shows
 as not stated.

@@ -40,11 +40,11 @@ M_WORDS = frozenset(
 
 
 class ExportError(Exception):
-    """The error for coefficients that cannot be written in this form. The message gives the reason."""
+    """Reports that coefficients cannot be written in this form. The message gives the reason."""
 
 
 def export(estimate: Estimate, form: str, provenance: Mapping[str, str] | None = None) -> str:
-    """Makes the text of one file of coefficients. `form`: csv, matlab, yaml or c (see `FORMS`). `provenance`: facts that the
+    """Returns the text of one file of coefficients. `form`: csv, matlab, yaml or c (see `FORMS`). `provenance`: facts that the
     comment at the beginning of the file states.
 
     Raises `ExportError` for an unknown form.

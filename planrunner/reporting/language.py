@@ -95,7 +95,7 @@ def spoken(language: str) -> dict[str, Callable[..., str]]:
 
 @lru_cache(maxsize=8)
 def plural_form(language: str) -> Callable[[int], int]:
-    """Returns the index of the plural form for a number, according to the rule of the language."""
+    """Returns a function that maps a number to the index of its plural form in the language."""
     from gettext import c2py
 
     from babel.messages.plurals import get_plural

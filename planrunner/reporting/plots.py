@@ -1,4 +1,4 @@
-"""Draws charts as inline SVG: values for labels or over x, curves, correlations, and the timeline of a schedule.
+"""Draws charts as inline SVG: values by label or over x, curves, correlations, and the timeline of a schedule.
 
 Matplotlib draws the charts at the width of a phone, and the page scales them, so that text is legible on phones and on large
 screens. Text in a chart is stored as text. Equal data give equal bytes.
@@ -154,7 +154,7 @@ def thinned(values: Array) -> NDArray[np.intp]:
 
 
 def _labels(x: Sequence[object]) -> list[str]:
-    """Returns the items of x as labels if at least one is a text; otherwise none."""
+    """Returns the items of x as labels if at least one item is a text; otherwise an empty list."""
     return [str(item) for item in x] if any(isinstance(item, str) for item in x) else []
 
 
@@ -233,8 +233,8 @@ def strong(names: Sequence[str], matrix: Array, at_least: float = 0.3) -> list[t
 
 
 def timeline_svg(schedule: Schedule, key: str) -> str:
-    """Draws the timeline of a schedule: transitions, settling and recording as bars; also temperature and rate if the plan holds
-    them."""
+    """Draws the timeline of a schedule: transitions, settling and recording are bars. The timeline also shows temperature and rate
+    if the plan states them."""
     from planrunner.reporting.timeline import draw_panels, panels_of
 
     panels = panels_of(schedule)
@@ -303,8 +303,8 @@ def _bounded(margins: Array) -> Array:
 
 
 def _inline(text: str, key: str, title: str, described: str) -> str:
-    """Converts the file from matplotlib to an `<svg>` element without prologue, with unique ids and a name, that scales with its
-    container."""
+    """Converts the file from matplotlib to an `<svg>` element that scales with its container. The element has no prologue; it has a
+    name and unique ids."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r"<!--.*?-->\s*", "", body, flags=re.DOTALL)

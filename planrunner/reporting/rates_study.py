@@ -89,7 +89,7 @@ def _alike(before: Coefficient, now: Coefficient) -> bool:
 
 
 def _uncertainties(found: FoundRates) -> list[Table]:
-    """Returns a table of the coefficients whose uncertainty changes; none if no uncertainty changes."""
+    """Returns a table of the coefficients whose uncertainty changes; an empty list if no uncertainty changes."""
     rows = [
         (name, f"{before.standard_uncertainty:.3g}", f"{now.standard_uncertainty:.3g}", now.unit)
         for name, (before, now) in _pairs(found).items()

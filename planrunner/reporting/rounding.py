@@ -33,7 +33,7 @@ class Rounded:
 
 
 def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Rounded:
-    """Rounds a value to the last one of `digits` significant digits of its uncertainty; ties are rounded to even.
+    """Rounds the uncertainty to `digits` significant digits, and the value to the same decimal place. Ties are rounded to even.
 
     If the uncertainty is zero, the value has seven significant digits. A non-finite value is written as such.
     """

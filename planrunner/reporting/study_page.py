@@ -1,4 +1,4 @@
-"""The page of a design study: facts, notes, tables, orientations and curves. The template of the page is
+"""Renders the page of a design study: facts, notes, tables, orientations and curves. The template of the page is
 `templates/design.html.j2`."""
 
 from __future__ import annotations

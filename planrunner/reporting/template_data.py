@@ -21,7 +21,7 @@ _PAIRS, _TOLD, _HTML, _SAID = "pairs", "told", "html", "said"
 
 
 def to_json(given: Mapping[str, Json]) -> str:
-    """Converts the data to JSON text, in which every picture has been drawn. Raises TypeError for an object that is not plain data."""
+    """Converts the data to JSON text, after drawing every picture. Raises TypeError for an object that is not plain data."""
     return json.dumps(_plain(given), ensure_ascii=True)
 
 

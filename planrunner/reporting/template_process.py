@@ -1,5 +1,5 @@
-"""Is the child process that renders a user's template. The process reads a request from standard input, limits its own resources,
-and answers with JSON.
+"""Renders a user's template in a child process. The process reads a request from standard input, limits its own resources, and
+answers with JSON.
 
 A thread limits the computing time, and finds which line of the template is being rendered. In addition, limits of the operating
 system are set where they exist (Linux, partly macOS). These limits restrict time and memory, and prevent writing files and starting

@@ -2,9 +2,9 @@
 with limits on time and memory.
 
 Templates of both kinds are rendered in the sandbox. Shipped templates are part of the program and are tested with it. Even within
-the sandbox, a user's template may loop for ever or fill the memory, and this must not make a long run fail. Therefore a child
-process renders it: the process receives the data as JSON, and returns the page or the error. Any failure of the child process is a
-`ReportError`.
+the sandbox, a user's template may loop for ever or fill the memory, and this must not make a long run fail. Therefore, a child
+process renders the user's template: the process receives the data as JSON, and returns the page or the error. Any failure of the
+child process is a `ReportError`.
 """
 
 from __future__ import annotations

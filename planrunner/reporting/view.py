@@ -1,28 +1,28 @@
-"""Data for a report's template: plain dictionaries, lists, text and numbers, made from a `ReportContext`.
+"""Prepares the data for a report's template: plain dictionaries, lists, text and numbers, made from a `ReportContext`.
 
 Templates have access to nothing else: they can lay out a report but cannot read a file or change a result. The keys:
 
     title, description                text
     headline                          {kind: pass, warned, fail or none; text; detail}
-    stamp                             {word, about, alarming}, such as SIMULATED; without a word where the samples were measured
-    on_top                            what a reader looks for first, a list of [name, value]
-    probability_percent               of the expanded uncertainties
+    stamp                             {word, about, alarming}, for example with the word SIMULATED; no word if the samples were measured
+    on_top                            the facts at the top of the page, a list of [name, value]
+    probability_percent               coverage probability of the expanded uncertainties
     run, bench, site, provenance      lists of [name, value]
     instruments                       list of {role, facts: list of [name, value]}
     limits                            list of {quantity, requirement, rule, verdict, kind, value, expanded, unit,
                                       factor, guard, probability, reason, rule_in_words, false, prior: `stated` or "", consumer, producer}
     estimates                         list of {name, anchor, estimator, coefficients, others, settings, tables, plots,
                                       correlation, budgets, strong_correlations, notes, warnings, segments}
-      coefficients, others            the headline ones and the rest, lists of {name, description, value, expanded,
+      coefficients, others            the headline coefficients and all others, lists of {name, description, value, expanded,
                                       standard, unit, factor, freedom}, all text
       tables                          list of {title, columns: list of {title, numeric}, rows of text, more}
       plots, correlation              {title, svg}
-      budgets                         as `budgets.budget_views` gives them
+      budgets                         the result of `budgets.budget_views`
     signatures                        list of {meaning, name, at, key, analyses, standing, owner, why}
-    segments                          like a table
-    segment_tables                    the same in tables that a page is wide enough for
-    certificate                       as `certificate.certificate_view` gives it
-    warnings, notes                   lists of text; the estimates' own are with the estimates
+    segments                          one table, in the form of `tables`
+    segment_tables                    the content of `segments`, in tables that fit the width of a page
+    certificate                       the result of `certificate.certificate_view`
+    warnings, notes                   lists of text about the whole report; each entry of `estimates` contains its own
 
 Cells of a table are rounded and aligned according to the roles of its columns (`planrunner.estimators.tables.Role`): an uncertainty
 is shown with two digits, and values to its left are rounded to the last digit of the uncertainty."""
@@ -181,7 +181,7 @@ def limit_row(limit: LimitVerdict) -> dict[str, str]:
 
 def table_view(table: Table) -> JsonObject:
     """Returns a table as texts, with a flag for each column of numbers. If there are more than `MAX_ROWS` rows, a note replaces the
-    others."""
+    other rows."""
     roles = [column.role for column in table.columns]
     guides = [_guide(roles, index) for index in range(len(roles))]
     rows = [
