@@ -128,6 +128,18 @@ class Find:
     bad: bool = True
 
 
+@dataclass(frozen=True, slots=True)
+class Repeats:
+    """Describes how often the samples of a channel repeat the sample before them, and on which values they do.
+
+    `values`: array of shape (n,), values of the first runs of equal samples, in the channel's unit. Parts of the segment in which
+    no sample repeats are left out. `share`: fraction of the samples that are equal to the sample before them.
+    """
+
+    values: Array
+    share: float
+
+
 @dataclass(frozen=True)
 class RecordedSegment:
     """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block.
@@ -135,7 +147,7 @@ class RecordedSegment:
     `expected`: True if the segment was not recorded. The statistics of the segment are then predicted from the schedule: the
     scatter follows from the declared noise, and the means contain no noise. `finds`: findings of the screening; None if the segment
     has not been screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were
-    recorded, so that there are no samples to read.
+    recorded, so that there are no samples to read. `repeats`: for each output that has been screened, how its samples repeat.
     """
 
     segment: Segment
@@ -148,6 +160,7 @@ class RecordedSegment:
     finds: tuple[Find, ...] | None = None
     share: float = 1.0
     summary: bool = False
+    repeats: Mapping[str, Repeats] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -195,6 +208,9 @@ class Watcher(Protocol):
 
     def finds(self) -> tuple[Find, ...]:
         """Returns the findings, after all blocks have been processed."""
+
+    def repeats(self) -> Mapping[str, Repeats]:
+        """Returns how the samples of each output repeat, after the findings have been returned."""
 
 
 WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]

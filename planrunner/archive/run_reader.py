@@ -8,7 +8,7 @@ recording.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -175,8 +175,10 @@ class RunReader:
                 continue
             watcher = None if watch is None else watch(segment, units, rows)
             statistics = statistics_of(blocks, tuple(units), rows, watcher, segment.motion)
-            finds = None if watcher is None else watcher.finds()
-            segments.append(RecordedSegment(segment, units, statistics, read, item.truncated, readings, finds=finds))
+            made = RecordedSegment(segment, units, statistics, read, item.truncated, readings)
+            if watcher is not None:
+                made = replace(made, finds=watcher.finds(), repeats=watcher.repeats())
+            segments.append(made)
         return tuple(segments)
 
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:

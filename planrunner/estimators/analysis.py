@@ -37,7 +37,7 @@ from planrunner.estimators.open_flicker import with_flicker_words
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.estimators.screened_estimate import estimated
 from planrunner.instruments.models import NoiseModel, SensorModel
-from planrunner.observation.lattice import undeclared_step
+from planrunner.observation.lattice import differ, undeclared_step
 from planrunner.observation.screening import screened, varies
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
@@ -66,7 +66,9 @@ def analyse(
     under `limit on …`. Raises `ClusterError` or `ProcessEndedError` if the workers fail.
     """
     looked_at = screened(announced(recording, "screening the samples", notice), sensor)
-    recording = [replace(item, finds=one.finds) for item, one in zip(recording, looked_at, strict=True)]
+    recording = [
+        replace(item, finds=one.finds, repeats=one.repeats) for item, one in zip(recording, looked_at, strict=True)
+    ]
     made: dict[str, Estimate] = {}
     failures: dict[str, str] = {}
     unfit: list[str] = []
@@ -281,50 +283,48 @@ carried over."""
 
 
 def _changes(recorded: RecordedSegment, channel: str) -> bool:
-    """Returns True if the samples of a channel differ within a segment. The screening reports a channel that is stuck."""
+    """Returns True if the samples of a channel differ within a segment by more than floating-point rounding. The screening reports
+    a channel that is stuck."""
     place = recorded.statistics.of(channel)
-    return bool(recorded.statistics.minimum[place] < recorded.statistics.maximum[place])
+    return differ(float(recorded.statistics.minimum[place]), float(recorded.statistics.maximum[place]))
 
 
 def _constant(segments: Sequence[RecordedSegment], channel: str) -> bool:
     """Returns True if the samples of a channel are equal within each segment. Tables of means and segments with a single sample are
     not considered."""
     shown = [
-        one.statistics
+        one
         for one in segments
         if channel in one.units and one.statistics.count > 1 and not (one.summary or one.expected)
     ]
-    return len(shown) > 1 and all(not one.covariance[k, k] for one in shown for k in [one.of(channel)])
+    known = all(np.isfinite(one.statistics.mean[one.statistics.of(channel)]) for one in shown)
+    return len(shown) > 1 and known and not any(_changes(one, channel) for one in shown)
 
 
 def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str]) -> dict[str, float]:
-    """Finds the counts of channels, in their units, from the first samples of each segment. Channels whose samples are not
-    multiples of a count are left out. Samples that screening excluded are not used. Only segments at rest or at a constant rate are
-    used, because their values repeat. A segment in which a channel keeps one value shows no count."""
-    taken: dict[str, list[Array]] = {}
-    shown = max(_SHOWING // max(len(segments), 1), _LEAST_SHOWING)
-    for one in segments:
-        steady = isinstance(one.segment.motion, Rest | Spin) and not (one.summary or one.expected)
-        names = [name for name in channels if name in one.units and steady]
-        names = [name for name in names if _changes(one, name)]
-        block = next(iter(one.blocks(names)), None) if names else None
-        if block is None:
-            continue
-        for name in names:
-            values = np.asarray(block.channels[name][:shown], dtype=float)
-            place = one.statistics.of(name)
-            kept = (values >= one.statistics.minimum[place]) & (values <= one.statistics.maximum[place])
-            if kept.any():  # all of these samples may be missing or excluded
-                taken.setdefault(name, []).append(values[kept])
-    return {name: undeclared_step(np.concatenate(parts), _FEWEST) for name, parts in taken.items()}
+    """Finds the counts of channels, in their units, from the values that the screening has kept: those of the first runs of equal
+    samples of each segment. Channels whose samples are not multiples of a count are left out. Samples that screening excluded are
+    not used. Only segments at rest or at a constant rate are used, because their samples repeat. A segment in which a channel keeps
+    one value shows no count."""
+    steady = [one for one in segments if isinstance(one.segment.motion, Rest | Spin) and not one.expected]
+    counts: dict[str, float] = {}
+    for name in channels:
+        taken: list[Array] = []
+        repeated = samples = 0.0
+        for one in steady:
+            if name not in one.repeats or not _changes(one, name):
+                continue
+            shown, place = one.repeats[name], one.statistics.of(name)
+            good = (shown.values >= one.statistics.minimum[place]) & (shown.values <= one.statistics.maximum[place])
+            taken.append(shown.values[good])  # perhaps none
+            repeated, samples = repeated + shown.share * one.statistics.count, samples + one.statistics.count
+        if samples:
+            counts[name] = undeclared_step(np.concatenate(taken), _FEWEST, repeated / samples)
+    return counts
 
 
 _METERED = (DIMENSIONS["voltage"], DIMENSIONS["pressure"])
 """Quantities that meters measure. A reading of a meter may keep one value, and the plan states its uncertainty separately."""
-_SHOWING = 4096
-"""Number of samples, over all segments, from which the count of a channel is found."""
-_LEAST_SHOWING = 256
-"""Minimum number of samples that are taken from each segment."""
 _FEWEST = 2
 """Smallest number of different values from which a count is found. Two values are enough, because an output that rarely leaves one
 value has a coarse count."""

@@ -14,6 +14,8 @@ REPEATED = 4  # each value of a lattice occurs at least this many times on avera
 STUCK = 0.1  # fraction of samples equal to their predecessor from which a channel with many values shows a count
 ROUNDED = 1.1  # of the smallest step: steps up to this differ from it by floating-point rounding
 OFF_LATTICE = 0.05  # of a count: tolerance of a lattice
+ROUNDING = 1e-12  # of a value: values that differ by less are equal except for floating-point rounding
+_OF_SPAN = 1e-9  # of the range of the values: the same, for values that are differences of larger numbers
 NEAR = 100  # most counts between neighbouring values that are compared with a lattice
 _PIECE = 4096  # values taken at once
 
@@ -43,20 +45,43 @@ def holds(levels: Array) -> bool:
     return float(np.abs(levels - np.round(levels)).max(initial=0.0)) <= 2 * OFF_LATTICE
 
 
-def undeclared_step(values: Array, fewest: int = MANY) -> float:
-    """Returns the count of a channel that has no declared count, in the channel's unit; 0 if the values are not multiples of any
-    count. `values`: array of shape (N,). `fewest`: number of different values needed to recognise the count."""
+def undeclared_step(values: Array, fewest: int = MANY, repeating: float | None = None) -> float:
+    """Finds the count of a channel that has no declared count, in the channel's unit. Returns 0 if the N values are not multiples
+    of any count. `fewest`: different values needed to recognise the count. `repeating`: share of the channel's samples that repeat
+    the sample before them; by default, this share of the values."""
+    if not len(values):
+        return 0.0
     some = values[:: max(len(values) // _PIECE, 1)]
-    distinct = np.unique(np.round((some - some.min()) / max(float(np.ptp(some)), 1e-300), 9))
-    steps = np.diff(distinct) * float(np.ptp(some))
-    repeated = len(distinct) <= len(some) / REPEATED or float(np.mean(np.diff(values) == 0)) > STUCK
-    if len(distinct) < fewest or not repeated:
+    steps = _steps(some)
+    if len(steps) + 1 < max(fewest, 2):
+        return 0.0
+    share = float(np.mean(np.diff(values) == 0)) if repeating is None else repeating
+    if len(steps) + 1 > len(some) / REPEATED and share <= STUCK:
         return 0.0
     count = float(np.median(steps[steps < ROUNDED * steps.min()]))
     whole = np.round(steps / count)
     near = whole <= NEAR  # beyond, the error of the count adds up to more than the tolerance
     count = float(steps[near].sum() / whole[near].sum())
     return count if float(np.abs(steps[near] / count - whole[near]).max()) < OFF_LATTICE else 0.0
+
+
+def _steps(values: Array) -> Array:
+    """Returns the steps between successive distinct values of the N values, in ascending order of the values. Values that differ by
+    no more than the rounding of floating-point numbers count as equal. A few values far from the others do not change what counts
+    as equal among the others."""
+    distinct = np.unique(values)
+    ordered = np.sort(values)
+    outside = 1 + len(ordered) // 1000
+    inner = float(ordered[-1 - outside] - ordered[outside]) if len(ordered) > 2 * outside else 0.0
+    span = inner if inner > 0 else float(np.ptp(values))
+    steps = np.diff(distinct)
+    sizes = np.maximum(np.abs(distinct[:-1]), np.abs(distinct[1:]))
+    return np.asarray(steps[steps > np.maximum(ROUNDING * sizes, _OF_SPAN * span)])
+
+
+def differ(low: float, high: float) -> bool:
+    """Returns True if two values differ by more than the rounding of floating-point numbers."""
+    return high - low > ROUNDING * max(abs(low), abs(high))
 
 
 def seen_levels(values: Array, step: float) -> Array:

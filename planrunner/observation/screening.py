@@ -32,7 +32,15 @@ from dataclasses import field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planrunner.archive.recording import Find, FindKind, Ranges, RecordedSegment, Statistics, WatcherOf
+from planrunner.archive.recording import (
+    Find,
+    FindKind,
+    Ranges,
+    RecordedSegment,
+    Repeats,
+    Statistics,
+    WatcherOf,
+)
 from planrunner.archive.statistics import statistics_of
 from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
@@ -80,6 +88,7 @@ _MANY, _SHARE, _BURSTS = (
 _KEPT = 10_000  # finds of one kind and channel
 _HELD = 2_000  # most stretches of equal samples that are kept for the test at the end
 _SHORT = 64  # lengths of runs that are counted one by one
+_SHOWN = 256  # runs of equal samples whose values are kept, to show the count of a channel
 _RUNS = 20  # fewest runs from which the usual length is determined
 _BINS, _FEWEST_BINS = 1024, 64  # means in which steps are sought
 _STEP = 8.0  # robust standard deviations of the differences between neighbouring means
@@ -105,7 +114,7 @@ def _screened(item: RecordedSegment, watch: WatcherOf) -> RecordedSegment:
     watcher = watch(item.segment, item.units, item.statistics.count + item.statistics.rejected)
     for block in item.blocks(tuple(item.units)):
         watcher.add(block)
-    return replace(item, finds=watcher.finds())
+    return replace(item, finds=watcher.finds(), repeats=watcher.repeats())
 
 
 _STANDING = (DIMENSIONS["temperature"], DIMENSIONS["angle"])
@@ -220,7 +229,8 @@ class _Runs:
     `lengths`: number of runs of each length; the last entry counts all longer runs. `long`: the longest runs. `row`, `time`: row
     and time of the first sample of the current run. `before`: value of the sample before the current run. `length`: number of
     samples in the current run so far. `count`: smallest change between samples, taken as the size of a count. `bend`: sum of the
-    absolute second differences of the samples. `bends`: number of second differences. In the methods, `values`, `rows` and `times`
+    absolute second differences of the samples. `bends`: number of second differences. `values`: values of the first runs in those
+    pieces in which samples repeat; `shown`: number of these values. In the methods, `values`, `rows` and `times`
     are arrays of shape (n,): values, row numbers and times [s] of successive samples.
     """
 
@@ -233,6 +243,8 @@ class _Runs:
     count: float = math.inf
     bend: float = 0.0
     bends: int = 0
+    values: list[Array] = field(default_factory=list)
+    shown: int = 0
 
     def add(self, values: Array, rows: RowNumbers, times: Array) -> None:
         """Adds the next samples (n,). Except in the first call, the first of these samples must be the last sample of the previous
@@ -253,6 +265,7 @@ class _Runs:
             self.row, self.time, self.before = int(rows[begin + 1]), float(times[begin + 1]), float(values[begin])
             steps = np.abs(values[ends[:-1] + 1] - values[ends[:-1]])
             self.count = min(self.count, float(steps.min()))
+            self._show(values[ends[:-1]])
         self.length = int(lengths[-1])
         self.bend += float(np.abs(np.diff(values, 2)).sum())
         self.bends += max(len(values) - 2, 0)
@@ -282,9 +295,21 @@ class _Runs:
         if len(self.long) > 2 * _HELD:
             self.long = sorted(self.long, key=lambda one: -one.length)[:_HELD]
 
+    def _show(self, values: Array) -> None:
+        """Stores the values of runs, as far as there is room."""
+        if self.shown < _SHOWN:
+            self.values.append(values[: _SHOWN - self.shown].copy())
+            self.shown += len(self.values[-1])
+
+    def repeats(self, samples: int) -> Repeats:
+        """Returns how the samples repeat, after the last run has ended. `samples`: number of samples."""
+        values = np.concatenate(self.values) if self.values else np.empty(0)
+        return Repeats(values, 1 - int(self.lengths.sum()) / max(samples, 1))
+
     def finish(self, values: Array, rows: RowNumbers, times: Array) -> None:
         """Ends the current run at the last of these samples."""
         self.lengths[min(self.length, _SHORT)] += 1
+        self._show(values[-1:])
         if self.length >= RUN:
             self._hold(values, rows, times, -1, len(values) - 1, self.length)
 
@@ -409,6 +434,10 @@ class Screening:
             spikes = angle.finish()
             out += _as_one(spikes) if len(spikes) > max(_MANY, _SHARE * self.row) else spikes
         return tuple(sorted((*out, *self._of_time()), key=lambda item: item.first))
+
+    def repeats(self) -> dict[str, Repeats]:
+        """Returns how the samples of each channel repeat. The method must be called after `finds`."""
+        return {name: runs.repeats(self.done) for name, runs in zip(self.channels, self.runs, strict=True) if self.done}
 
     def _look_at_filled(self) -> None:
         place = slice(0, self.filled)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +15,9 @@ from planrunner.estimators.allan.allan_deviation import AllanDeviationParameters
 from planrunner.estimators.analysis import analyse
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.scale_factor import ScaleFactorParameters
+from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel
+from planrunner.observation.screening import screened
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import EstimateSpec
@@ -118,3 +122,41 @@ def test_missing_samples_at_the_beginning_show_no_count_and_end_no_analysis() ->
         time = np.concatenate([block.time for block in blocks])
         recording.append(from_samples(one.segment, time, {"gyro_z": values}, {"gyro_z": "pulse/s"}))
     assert not coarse(scale_factor(recording))
+
+
+def unread(one: RecordedSegment) -> RecordedSegment:
+    def refused(channels: Sequence[str]) -> Iterator[Block]:
+        raise AssertionError("the screening has read these samples already")
+
+    return replace(one, blocks=refused)
+
+
+@pytest.mark.parametrize("count", [0.0, 4.0])
+def test_the_count_is_found_in_the_pass_of_the_screening(count: float) -> None:
+    """The means, the screening and the count need each sample once."""
+    read = screened(on_a_table(15, count), sensor("gyro_z"))
+    assert len(coarse(scale_factor([unread(one) for one in read]))) == (count > 0)
+
+
+def test_a_count_that_shows_late_in_a_segment_is_found() -> None:
+    """Each output leaves its value in 3 of 3000 samples only, after the first half of the segment."""
+    recording = []
+    for one in on_a_table(16, 4.0, 0.0):
+        values = np.concatenate([block.channels["gyro_z"] for block in one.blocks(("gyro_z",))])
+        time = np.concatenate([block.time for block in one.blocks(("gyro_z",))])
+        values[[1700, 2100, 2900]] += 4.0
+        recording.append(from_samples(one.segment, time, {"gyro_z": values}, {"gyro_z": "pulse/s"}))
+    [text] = coarse(scale_factor(recording))
+    assert "too small for counts of 4 pulse/s" in text
+
+
+def test_values_that_differ_by_floating_point_rounding_are_equal() -> None:
+    """A constant output, multiplied by a scale factor in the recording program: the last digit alternates."""
+    recording = []
+    for one in on_a_table(17, 50.0, 0.0):
+        values = np.concatenate([block.channels["gyro_z"] for block in one.blocks(("gyro_z",))]) + 0.1
+        time = np.concatenate([block.time for block in one.blocks(("gyro_z",))])
+        values[::3] = np.nextafter(values[::3], np.inf)
+        recording.append(from_samples(one.segment, time, {"gyro_z": values}, {"gyro_z": "pulse/s"}))
+    [text] = coarse(scale_factor(recording))
+    assert "within each segment, all samples are equal" in text
