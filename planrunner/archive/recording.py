@@ -129,7 +129,7 @@ class Find:
 
 
 @dataclass(frozen=True, slots=True)
-class Repeats:
+class RepeatedValues:
     """Describes how often the samples of a channel repeat the sample before them, and on which values they do.
 
     `values`: array of shape (n,), values of the first runs of equal samples, in the channel's unit. Parts of the segment in which
@@ -160,7 +160,7 @@ class RecordedSegment:
     finds: tuple[Find, ...] | None = None
     share: float = 1.0
     summary: bool = False
-    repeats: Mapping[str, Repeats] = field(default_factory=dict)
+    repeats: Mapping[str, RepeatedValues] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -209,7 +209,7 @@ class Watcher(Protocol):
     def finds(self) -> tuple[Find, ...]:
         """Returns the findings, after all blocks have been processed."""
 
-    def repeats(self) -> Mapping[str, Repeats]:
+    def repeats(self) -> Mapping[str, RepeatedValues]:
         """Returns how the samples of each output repeat, after the findings have been returned."""
 
 

@@ -37,7 +37,7 @@ from planrunner.archive.recording import (
     FindKind,
     Ranges,
     RecordedSegment,
-    Repeats,
+    RepeatedValues,
     Statistics,
     WatcherOf,
 )
@@ -301,10 +301,10 @@ class _Runs:
             self.values.append(values[: _SHOWN - self.shown].copy())
             self.shown += len(self.values[-1])
 
-    def repeats(self, samples: int) -> Repeats:
+    def repeats(self, samples: int) -> RepeatedValues:
         """Returns how the samples repeat, after the last run has ended. `samples`: number of samples."""
         values = np.concatenate(self.values) if self.values else np.empty(0)
-        return Repeats(values, 1 - int(self.lengths.sum()) / max(samples, 1))
+        return RepeatedValues(values, 1 - int(self.lengths.sum()) / max(samples, 1))
 
     def finish(self, values: Array, rows: RowNumbers, times: Array) -> None:
         """Ends the current run at the last of these samples."""
@@ -435,7 +435,7 @@ class Screening:
             out += _as_one(spikes) if len(spikes) > max(_MANY, _SHARE * self.row) else spikes
         return tuple(sorted((*out, *self._of_time()), key=lambda item: item.first))
 
-    def repeats(self) -> dict[str, Repeats]:
+    def repeats(self) -> dict[str, RepeatedValues]:
         """Returns how the samples of each channel repeat. The method must be called after `finds`."""
         return {name: runs.repeats(self.done) for name, runs in zip(self.channels, self.runs, strict=True) if self.done}
 
