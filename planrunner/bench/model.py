@@ -299,6 +299,7 @@ def driver_of(entry: InstrumentEntry) -> type[Driver[Record]]:
 
 
 def site_of(bench: Bench) -> Site:
+    """Returns the site of a bench, with its astronomic and its geodetic latitude."""
     site = bench.site
     magnetic = site.magnetic_field
     return Site(

@@ -45,6 +45,7 @@ def wait_of(stated: Quantity | StabilitySpec | None) -> tuple[float, Stability |
 
 
 def watch_of(stated: WatchSpec | None) -> Watch | None:
+    """Converts the limits that a plan states under `watch` to SI units; None if it states none."""
     if stated is None:
         return None
     lost, corrupt = stated.lost_frames, stated.corrupt_frames

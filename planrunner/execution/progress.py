@@ -66,8 +66,8 @@ class Meter:
 
     The time left is estimated from the remaining planned time and the speed so far, so it is in real time even on a simulated
     bench. `callback`: receives all events. If it raises an exception, it is not called again, because a display must not end a run.
-    `live`: a callback that receives only the progress within segments. In a run without a display, the beginning and the end of a
-    segment therefore take no time.
+    `live`: a callback that receives only the progress within segments. If `callback` is None, no events are made for the beginning
+    and the end of a segment.
     """
 
     def __init__(

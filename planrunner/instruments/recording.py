@@ -193,7 +193,8 @@ class RecordingPlayer(PlaysBack):
     def stream(self, segment: Segment) -> Iterator[Block]:
         """Yields the samples of the first `dwell` seconds of a segment. If the dwell is not planned, yields all samples of the
         segment. Times are counted from power-on if the bench file declares this time, otherwise from the first row of the
-        recording.
+        recording. Raises `InstrumentError` if the recording does not contain the whole dwell, or contains no samples of the
+        segment.
         """
         span = self._span(segment)
         interval = 1 / self.parameters.sample_rate.value

@@ -128,6 +128,8 @@ class _Watching:
 
 
 class RefusedRequestError(Exception):
+    """Reports that a request is refused. `status`: HTTP status of the reply. `message`: text of the reply."""
+
     def __init__(self, status: http.HTTPStatus, message: str):
         super().__init__(message)
         self.status, self.message = status, message

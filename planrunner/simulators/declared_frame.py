@@ -86,6 +86,8 @@ CHECKS: Mapping[str, tuple[Callable[[Bytes], NDArray[np.generic]], int]] = {
 
 @dataclass(frozen=True, slots=True)
 class DeclaredFrame:
+    """Describes a frame: its sync bytes, length [bytes], numbers, counter, checksum and constant bytes."""
+
     sync: bytes
     length: int
     fields: Mapping[str, FieldPlace]
@@ -224,7 +226,8 @@ class DeclaredFrameKeys(Protocol):
 
 
 def simulated(keys: DeclaredFrameKeys, live: LiveWorld, feed: SensorFeed) -> SensorUnit:
-    """Makes the sensor that the bench file describes; its frames contain the outputs of the virtual sensor with the same names."""
+    """Makes the sensor that the bench file describes; its frames contain the outputs of the virtual sensor with the same names.
+    Raises `InputError` if the virtual sensor does not have such an output."""
     own = feed.sensor.channels()
     missing = [name for name in keys.fields if name not in own]
     if missing:

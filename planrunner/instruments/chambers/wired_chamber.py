@@ -1,9 +1,8 @@
 """Contains what all real chambers share: checking the temperature range, deciding when the air has reached the setpoint, and
 bringing the chamber to its safe state.
 
-The commands of each controller are in a separate file, as `AirCommands`; this file does not depend on a manufacturer. In the safe
-state, the chamber holds the ambient temperature. The chamber is not switched off, because moisture could then condense on a cold
-sensor.
+A separate file for each controller implements `AirCommands`; this file does not depend on a manufacturer. In the safe state, the
+chamber holds the ambient temperature. The chamber is not switched off, because moisture could then condense on a cold sensor.
 """
 
 from __future__ import annotations

@@ -179,7 +179,9 @@ def of_objects(values: Sequence[object] | NDArray[np.generic], where: PlaceOfTex
 
 
 def of_arrow(values: pa.Array, where: PlaceOfText, dates: DateOrder) -> Array:
-    """Converts an Arrow array of time stamps, of times of day or of texts to times [s], shape (n,). A missing value gives NaN."""
+    """Converts an Arrow array of time stamps, of times of day or of texts to times [s], shape (n,). A missing value gives NaN.
+    `where`: names the place of a value. `dates`: the order of day and month. Raises `InstrumentError` for other types of values,
+    and for texts under the conditions of `seconds_in`."""
     import pyarrow as pa
     from pyarrow import types
 

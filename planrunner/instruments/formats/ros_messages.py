@@ -279,8 +279,8 @@ class _Layout:
     """The steps that decode the messages of a type.
 
     `columns`: all numeric fields, with their units. `parts`: for each number that the steps read, its field and the factor that
-    converts the number to the unit of the field. A time consists of two numbers. `modulus`, `offset`: the current position is
-    `offset` plus a multiple of `modulus` bytes. `count`: number of fields so far, shared with the layouts of elements."""
+    converts the number to the unit of the field. A time consists of two numbers. `_modulus`, `_offset`: the current position is
+    `_offset` plus a multiple of `_modulus` bytes. `count`: number of fields so far, shared with the layouts of elements."""
 
     def __init__(
         self, of_type: MessageType, order: str, wanted: Collection[str] | None, modulus: int, count: list[int]

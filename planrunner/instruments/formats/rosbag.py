@@ -79,7 +79,7 @@ class RosbagFile(FormatFile[NoKeys]):
     def examined(self) -> list[str]:
         """Returns the columns of the topic that most probably contains the samples of an IMU. Topics with messages of the type Imu
         are preferred, then topics with many messages. Covariances are left out, because they are statements of the driver and not
-        samples."""
+        samples. Raises `InstrumentError` if no messages can be read."""
         contents = self._contents()
         ranked = sorted(
             (one for one in contents.topics.values() if one.count),

@@ -1,8 +1,8 @@
 """Contains the functions that all real tables share: converting attitudes to axis positions, performing spins, rocking and cycles,
 checking whether a state has been reached, and bringing the table to its safe state.
 
-The commands of each controller are in a separate file, as `AxisCommands`; this file does not depend on a manufacturer. Whether a
-state has been reached is decided from the controller's measurements, never from the elapsed time.
+A separate file for each controller implements `AxisCommands`; this file does not depend on a manufacturer. Whether a state has been
+reached is decided from the controller's measurements, never from the elapsed time.
 """
 
 from __future__ import annotations

@@ -48,6 +48,8 @@ class Gives:
 
 
 class Added(Protocol):
+    """Changes the outputs of a virtual sensor and their noise by effects."""
+
     def levels(self, moments: Moments, levels: Mapping[str, Array], gives: Mapping[str, Gives]) -> Mapping[str, Array]:
         """Returns the outputs (n,) without noise, each in its unit, after the effects have been added. `levels`: the outputs (n,)
         before the effects are added. `gives`: unit and noise of each output."""

@@ -35,6 +35,8 @@ class Stretch:
 
 
 class Course(Protocol):
+    """A motion of a table. `kind`: name of the kind of motion in JSON data."""
+
     kind: ClassVar[str]
 
     def follow(self, times: Array) -> list[tuple[Value, Value]]:
@@ -296,6 +298,7 @@ def to_json(course: Course) -> JsonObject:
 
 
 def from_json(state: Mapping[str, Json]) -> Course:
+    """Converts the JSON data of `to_json` back to a motion."""
     values = {name: value for name, value in state.items() if name != "kind"}
     made = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     course: Course = _KINDS[state["kind"]](**{name: math.inf if v is None else v for name, v in made.items()})
@@ -303,5 +306,7 @@ def from_json(state: Mapping[str, Json]) -> Course:
 
 
 def travel(axes: Sequence[TableAxis], begin: float, start: Sequence[float], end: Sequence[float]) -> Travelling:
+    """Returns the motion from the joint angles `start` to the joint angles `end` [rad], which begins at the time `begin` [s]. Every
+    joint moves with the largest rate and acceleration of its axis."""
     rates, accelerations = tuple(a.max_rate for a in axes), tuple(a.max_acceleration for a in axes)
     return Travelling(begin, tuple(map(float, start)), tuple(map(float, end)), rates, accelerations)

@@ -25,6 +25,7 @@ def numbers(link: MessageLink, request: str, count: int, framing: AnswerFraming 
 
 
 def number(link: MessageLink, request: str, framing: AnswerFraming | None = None) -> float:
+    """Returns the number in the answer to a request, under the conditions of `numbers`."""
     return numbers(link, request, 1, framing)[0]
 
 
