@@ -1,16 +1,16 @@
 """Finds effects that do not appear in the coefficients of a recording, for example a tone of constant frequency. The coefficients
-describe each segment by its mean, its slow changes and its harmonics (`evidence.spectrum`). Such effects are found first and
-removed from the samples, so that they do not influence the evaluation of the other effects. They are present or absent
-independently of the other effects. Therefore, their log evidence is added to the log evidence of the other effects.
+describe each segment by its mean, its slow changes and its harmonics (`evidence.spectrum`). The effects outside the coefficients
+are found first and removed from the samples, so that they do not influence the evaluation of the other effects. They are present or
+absent independently of the other effects. Therefore, their log evidence is added to the log evidence of the other effects.
 
 One effect of this kind is a stuck output: the output keeps one value for longer than its noise allows. The evidence compares stuck
-stretches with the chance repeats of white noise. With white noise, a sample repeats the previous count with a probability r. The
-number L of consecutive equal samples therefore has the geometric distribution P(L) = (1 − r)·r^(L−1). To estimate r, the samples of
-a segment that repeat the previous sample are counted; the longest sequence of equal samples is not included. As real noise is
-correlated, √r is used instead of r. A stuck stretch may have any length; the prior is uniform in the logarithm of the length, and
-one stuck stretch is expected in a recording. Channels with coarse counts are not examined, because their noise often stays within
-one count for a long time. Recordings that consist of means over bins are not examined either, because such means do not show
-repeated samples.
+stretches with sequences of equal samples that white noise produces by chance. With white noise, a sample repeats the previous count
+with a probability r. The number L of consecutive equal samples therefore has the geometric distribution P(L) = (1 − r)·r^(L−1). To
+estimate r, the samples of a segment that repeat the previous sample are counted; the longest sequence of equal samples is not
+included. As real noise is correlated, √r is used instead of r. A stuck stretch may have any length; the prior is uniform in the
+logarithm of the length, and one stuck stretch is expected in a recording. Channels with coarse counts are not examined, because
+their noise often stays within one count for a long time. Recordings that consist of means over bins are not examined either,
+because such means do not show repeated samples.
 """
 
 from __future__ import annotations
@@ -122,9 +122,10 @@ def clearly_repeated(observed: Observed) -> Repeated | None:
 
 
 def repeated_parameters(observed: Observed, effect: str, found: Repeated) -> list[ParameterEstimate]:
-    """Determines when the longest stretch of repeated samples begins, and how long it lasts. There is one duration if all outputs
-    repeat their values, otherwise one for each affected output. The start and the end of the stretch are each uniformly distributed
-    over one interval between samples, so the duration has the triangular distribution of their difference."""
+    """Determines when the longest stretch of repeated samples begins, and how long it lasts. The result contains one duration if
+    all outputs repeat their values, and otherwise one duration for each affected output. The start and the end of the stretch are
+    each uniformly distributed over one interval between samples, so the duration has the triangular distribution of their
+    difference."""
     step = 1 / observed.sample_rate
     longest = found.stretches[0]
     alike = {one.channel: one for one in reversed(found.stretches) if abs(one.first - longest.first) <= 1}

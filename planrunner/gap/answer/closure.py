@@ -17,13 +17,15 @@ with it. The result is an average over the following two cases, weighted by thei
 
 Both cases need the level of the noise. The declared slow noise may be wrong by any factor, but the evidence considers only three
 levels: half the declared level, the declared level, and twice the declared level. The level is therefore measured from the
-residuals that the most probable effects leave: separately for gyros and accelerometers, and for the segment means and the changes
-within segments. A level from few residuals is uncertain, so errors have Student's t distribution with their degrees of freedom. The
-level of flicker relative to the other noise is measured from the same residuals. This matters because flicker is correlated between
-segments: it hides slow effects, and it cancels in differences between neighbouring segments, which show fast effects.
+residuals after the fit of the most probable effects. It is measured separately for gyros and accelerometers, and separately for the
+segment means and the changes within segments. A level from few residuals is uncertain. Therefore, the errors are assumed to have
+Student's t distribution with the degrees of freedom of these residuals. The level of flicker relative to the other noise is
+measured from the same residuals. This level is important because flicker is correlated between segments. Flicker hides slow
+effects, but it cancels in the differences between neighbouring segments, which show fast effects.
 
-In array shapes, M is the number of coefficients of a channel, K of channels, S of segments, G of settings of the noise, and p of
-columns of a choice (an effect or a set of effects). m counts selected coefficients, such as the held-out ones of all channels.
+In array shapes, M is the number of coefficients of a channel, K is the number of channels, S is the number of segments, G is the
+number of settings of the noise, and p is the number of columns of a choice (an effect or a set of effects). The number of selected
+coefficients, such as the held-out coefficients of all channels, is m.
 """
 
 from __future__ import annotations
@@ -142,11 +144,11 @@ class FoldChoice:
     A form is an effect at one value of its shape, such as a time constant.
 
     `effect`: name of the effect or set. `raw`: for each channel, the coefficients (M, p) that the p columns of the form cause, not
-    whitened; each column has an amplitude of one magnitude (the prior scale of the amplitude). `widths`: number of columns of each
-    effect. `probability`: probability that this form is the whole cause. `prior`: log prior probability of this form among the
-    forms of the same effect, up to a constant. `fixed`: the columns whose amplitude physics fixes at 1, so that it is not fitted.
-    `point`: for an effect on the output of the sensor, such as a dead zone, how it changes with the nominal parameters; otherwise
-    None.
+    whitened; the amplitude of each column equals its prior scale. `widths`: number of columns of each effect. `probability`:
+    probability that this form is the whole cause. `prior`: log prior probability of this form among the forms of the same effect,
+    up to a constant. `fixed`: indices of the columns whose amplitude is 1 for physical reasons; these amplitudes are not fitted.
+    `point`: for an effect on the output of the sensor, such as a dead zone, the dependence of the effect on the nominal parameters;
+    otherwise None.
     """
 
     effect: str
@@ -215,10 +217,8 @@ class NoiseLevels:
 @dataclass(frozen=True)
 class Amplitudes:
     """Contains the amplitudes that are fitted to all segments. `mean`: array of shape (p,), mean of the amplitudes. `roots`: array
-    of shape (groups + 1, p, p), square roots of the parts of the covariance: one for the errors that each noise group causes, and a
-    last one for the prior. `degrees`: array of shape (groups + 1,), degrees of freedom of each part, as in `MeasuredNoise`;
-    infinite for the prior.
-    """
+    of shape (groups + 1, p, p), square roots of the parts of the covariance: one part for each noise group, and a last part for the
+    prior. `degrees`: array of shape (groups + 1,), degrees of freedom of each part, as in `MeasuredNoise`; infinite for the prior."""
 
     mean: Array
     roots: Array = field(repr=False)
@@ -237,8 +237,8 @@ class Amplitudes:
 @dataclass(frozen=True)
 class KnownCause:
     """Describes a cause from the catalogue. Let d be the difference between the predictions with and without the chosen effect.
-    `gram`: array of shape (p, p), inner products of the signatures of the cause, in the held-out segments, with each other.
-    `along`: array of shape (p,), inner products of these signatures with d."""
+    `gram`: array of shape (p, p), inner products between the signatures of the cause in the held-out segments. `along`: array of
+    shape (p,), inner products between these signatures and d."""
 
     probability: float
     gram: Array = field(repr=False)
@@ -437,10 +437,10 @@ def measured_noise(
 
     `log_bayes`: array of shape (G,), log Bayes factor of the effect at each setting of the noise, that is, for each combination of
     levels of flicker and random walk. `walking`: True if a random walk of the gyros acts in addition; the random walk belongs to
-    the gap, not to the noise. `explained`: True if the effect leaves only noise. If False, the residuals contain a part of the gap,
-    so the measured noise is limited to the noise of the model. A level at this limit shows only that the noise is not larger than
-    the limit. If a random walk acts, the segment means contain it too, so their level is only an upper limit. The changes within
-    the segments contain a small part of the random walk; the expected energy of this part is subtracted.
+    the gap, not to the noise. `explained`: True if only noise remains after the fit of the effect. If False, the residuals contain
+    a part of the gap, so the measured noise is limited to the noise of the model. A level at this limit shows only that the noise
+    is not larger than the limit. If a random walk acts, the segment means contain it too, so their level is only an upper limit.
+    The changes within the segments contain a small part of the random walk; the expected energy of this part is subtracted.
     """
     gyro, accel = divmod(weighing.likeliest_with(log_bayes, walking), weighing.shape[1])
     flicker = weighing.settings["gyro"][gyro].flicker
@@ -477,11 +477,11 @@ def _without_walk(
     group: tuple[NDArray[np.int64], ...],
     means: int,
 ) -> tuple[_Left, bool]:
-    """Subtracts the expected energy of a random walk of the gyros from the residuals within the segments. The degrees of freedom of the
-    noise decrease, because the level of the random walk is uncertain. Part of this uncertainty is the distance between the evaluated levels
-    (`WALKS`): the true level may be anywhere between the neighbouring ones. If the random walk may be almost the whole of these residuals,
-    they do not show the level of the noise; the residuals are then unchanged, and the second result is False. `log_bayes`: the same as
-    in `measured_noise`. `means`: the noise group of the means of the gyros."""
+    """Subtracts the expected energy of a random walk of the gyros from the residuals within the segments. The degrees of freedom of
+    the noise decrease, because the level of the random walk is uncertain. Part of this uncertainty is due to the distance between
+    the evaluated levels (`WALKS`): the true level may lie anywhere between two neighbouring levels. If the random walk may explain
+    almost all of these residuals, the residuals do not show the level of the noise. They are then unchanged, and the second result
+    is False. `log_bayes`: the same as in `measured_noise`. `means`: the noise group of the means of the gyros."""
     terms = np.logaddexp.reduce((weighing.base + weighing.log_prior[1] + log_bayes).reshape(weighing.shape), axis=1)
     share = np.exp(terms - terms.max())
     gyros = weighing.observed.of_kind("gyro")
@@ -726,7 +726,7 @@ def dealt_by_motion(kinds: Sequence[str]) -> NDArray[np.int64]:
 
 
 def _told(widths: tuple[int, ...], fit: _Fit, number: int, folds: Sequence[_Fold]) -> float:
-    """Returns which fraction of an effect's energy in the held-out segments is determined by the other segments. The amplitudes are
+    """Returns the fraction of an effect's energy in the held-out segments that the other segments determine. The amplitudes are
     assumed to have the estimated size. The fraction is 0 if only one segment shows the effect. `widths`: number of columns of each
     effect of the choice. `number`: index of the choice."""
     size = best_scales(fit.gram, fit.score, widths)
@@ -780,10 +780,10 @@ def measured(
 def _unknown(
     residual: Array, difference: Array, level: Array, count: int, draw: np.random.Generator, fitted: int = 0
 ) -> Array:
-    """Draws random values (count, 2) of the squared size of a gap of unknown composition: first without, then with the chosen
-    effect. `level`: array of shape (m,), variance of the noise of each residual; for the part of the gap orthogonal to
-    `difference`, the mean of `level` is used. `count`: number of draws. `fitted`: number of parameters that were fitted to the
-    residuals."""
+    """Draws random values (count, 2) of the squared size of a gap of unknown composition. The first column is the size without the
+    chosen effect; the second column is the size with it. `level`: array of shape (m,), variance of the noise of each residual; for
+    the part of the gap orthogonal to `difference`, the mean of `level` is used. `count`: number of draws. `fitted`: number of
+    parameters that were fitted to the residuals."""
     from scipy.special import chndtr
 
     m, size = max(len(residual) - fitted, 2), float(np.linalg.norm(difference))
@@ -799,8 +799,9 @@ def _unknown(
 
 
 def _explained(cause: KnownCause, squared: float, count: int, draw: np.random.Generator) -> Array:
-    """Draws random values (count, 2) of the squared size of a gap whose whole cause is known: first without, then with the chosen
-    effect. `squared`: |d|², squared size of the difference between the predictions with and without the chosen effect."""
+    """Draws random values (count, 2) of the squared size of a gap whose whole cause is known. The first column is the size without
+    the chosen effect; the second column is the size with it. `squared`: |d|², squared size of the difference between the
+    predictions with and without the chosen effect."""
     amplitudes = cause.amplitudes.drawn(count, draw)
     before = np.einsum("ni,ij,nj->n", amplitudes, cause.gram, amplitudes)
     return np.column_stack([before, before - 2 * amplitudes @ cause.along + squared])

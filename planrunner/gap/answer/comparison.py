@@ -2,11 +2,12 @@
 
 The recording and both simulations are reduced to the coefficients of `evidence.spectrum`: the means of segments, their slow
 changes, and the harmonics of turns and of rocking. First, the outputs that follow from the nominal motion are subtracted from the
-recording and from each simulation. Times and table angles therefore need not agree exactly. The simulated sensor has other nominal
-parameters than the recorded one; therefore the nominal columns are fitted to the difference.
+recording and from each simulation. Times and table angles therefore need not agree exactly. The nominal parameters of the simulated
+sensor differ from those of the recorded sensor. Therefore, the nominal columns are fitted to the difference between recording and
+simulation.
 
-In array shapes, S is the number of segments, M of coefficients, and K of channels. m counts the coefficients that the recording and
-both simulations have in common.
+In array shapes, S is the number of segments, M is the number of coefficients, and K is the number of channels. m counts the
+coefficients that the recording and both simulations have in common.
 """
 
 from __future__ import annotations
@@ -98,9 +99,9 @@ class GapComparison:
 
 def compare(weighing: Weighing, nominal: Sequence[str], before: Observed, after: Observed) -> GapComparison:
     """Compares the recording in `weighing` with two simulations: `before` does not contain the effects, `after` contains them.
-    `nominal`: names of the terms that the nominal simulation fits. Samples that repeat an earlier one are left out of all three.
-    Raises `ObservationError` if the recording and the simulations share too few segments, or if a simulation lacks a channel of the
-    recording."""
+    `nominal`: names of the terms that the nominal simulation fits. Samples that repeat an earlier sample are excluded from the
+    recording and from both simulations. Raises `ObservationError` if the recording and the simulations share too few segments, or
+    if a simulation lacks a channel of the recording."""
     recorded = _Reduced.of(weighing.observed, weighing.spectrum, weighing.white, weighing.held)
     first, second = (_Reduced.simulated(one, nominal) for one in (before, after))
     labels = [name for name in recorded.rows if name in first.rows and name in second.rows]

@@ -320,8 +320,8 @@ def _parameters_of_given(
 
 
 def hypotheses(names: Sequence[str] | None, observed: Observed | None = None) -> list[Effect]:
-    """Returns the effects with these names. Without names, returns all installed effects that are hypotheses. Some effects can
-    appear only in certain recordings. Such an effect is included only if it can appear in `observed`."""
+    """Returns the effects with these names. If `names` is None, returns all installed effects that are hypotheses, except for the
+    effects that cannot appear in `observed`."""
     if names is not None:
         return [effect_named(name) for name in names]
     installed = [effect_named(name) for name in plugins.names(plugins.EFFECTS)]

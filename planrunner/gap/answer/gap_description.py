@@ -15,7 +15,7 @@ p-value of a level is the probability that, in pure noise, the highest score of 
 The patterns of the open set compete with the effects of the catalogue. The most probable pattern determines the factor that an
 unknown gap follows. The residuals of the simulation give the form of this gap.
 
-In array shapes, M is the number of coefficients of a channel, and K of channels.
+In array shapes, M is the number of coefficients of a channel, and K is the number of channels.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ the word for the direction. The cosine of the angle between the two is then abov
 class NoiseFound:
     """Describes the noise of a channel, in the channel's unit.
 
-    `white`, `declared`: standard deviation of a single sample due to white noise, as found in the recording and as declared.
-    `declared` includes the rounding to `declared_count`; it is 0 if no noise is declared. `count`, `declared_count`: size of one
-    count, as found in the recording and as declared; 0 if the values are not rounded to counts. `slow`: amplitude density at the
-    lowest measured frequency, divided by the amplitude density of the white noise; 1 if there is only white noise. `quietest`,
-    `loudest`: standard deviation of the noise in the quietest and in the loudest segment, divided by the standard deviation of the
-    white noise. `line`: the strongest tone, None if there is none.
+    `white`, `declared`: measured and declared standard deviation of a single sample due to white noise. `declared` includes the
+    rounding to `declared_count`; it is 0 if no noise is declared. `count`, `declared_count`: measured and declared size of one
+    count; 0 if the values are not rounded to counts. `slow`: amplitude density at the lowest measured frequency, divided by the
+    amplitude density of the white noise; 1 if there is only white noise. `quietest`, `loudest`: standard deviation of the noise in
+    the quietest and in the loudest segment, divided by the standard deviation of the white noise. `line`: the strongest tone, None
+    if there is none.
     """
 
     channel: str
@@ -263,8 +263,8 @@ def _binned(values: Array, unit: str) -> list[str]:
 
 
 def _up(attitude: Array) -> str:
-    """Describes the direction of the vertical in the sensor's axes. This function serves poses in an unknown orientation, of which
-    only this direction is known. `attitude`: array of shape (3, 3), whose last column is the vertical."""
+    """Describes the direction of the vertical in the sensor's axes. This function is used for poses in an unknown orientation, for
+    which only the direction of the vertical is known. `attitude`: array of shape (3, 3), whose last column is the vertical."""
     return "up at " + ", ".join(f"{letter} {value:.2f}" for letter, value in zip("xyz", attitude[:, 2], strict=True))
 
 

@@ -20,7 +20,7 @@ If the segments of the bench cannot distinguish the explanations, additional ins
 Effects of the table and of the site act on every instrument on the table. Effects of the sensor under test and of its data
 acquisition do not act on these instruments.
 
-In array shapes, P is the number of columns of all explanations, R of explanations, and K of channels.
+In array shapes, P is the number of columns of all explanations, R is the number of explanations, and K is the number of channels.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class Rival:
 
 
 def expected_evidence(rivals: Sequence[Rival], information: Array) -> Array:
-    """Returns the log evidence for rival i against rival j that measurements are expected to give if i is true, shape (…, R, R).
-    `information`: information of the measurements, shape (…, P, P)."""
+    """Returns the expected log evidence of measurements for rival i against rival j if i is true, shape (…, R, R). `information`:
+    information of the measurements, shape (…, P, P)."""
     size = information.shape[-1]
     covariance = [np.linalg.inv(rival.precision) for rival in rivals]
     found = np.zeros((*information.shape[:-2], len(rivals), len(rivals)))
@@ -148,7 +148,7 @@ LEAST = 0.01  # smallest probability of an explanation
 @dataclass(frozen=True)
 class ExplanationPart:
     """Describes one effect of an explanation, in the form that fits the recording best. `prior`: prior variance of the amplitudes
-    of the effect, in magnitudes²."""
+    of the effect, in units of the squared `magnitude` of each column."""
 
     effect: Effect
     weighed: Weighed
@@ -487,9 +487,9 @@ class SegmentProposal:
     `segments`: the proposed segments in order; empty if nothing on the bench helps. `rivals`: names and present probabilities of
     the explanations that remain possible. `now`: expected probability of the true explanation at present. `probability`: expected
     probability of the true explanation after the proposed segments. `seconds`: test time that these segments take, s. `repeating`:
-    for comparison, what a repetition of the recorded segments would achieve: its test time [s], and the expected probability of the
-    true explanation after it. `sensor`: description of an instrument that could distinguish the explanations, if the segments of
-    the bench cannot.
+    two values for comparison, namely the test time [s] of repetitions of the recorded segments, and the expected probability of the
+    true explanation after these repetitions. `sensor`: description of an instrument that could distinguish the explanations, if the
+    segments of the bench cannot.
     """
 
     segments: tuple[Segment, ...]

@@ -38,8 +38,8 @@ def amplitudes(
     walking: bool = False,
     ratios: Array | None = None,
 ) -> list[ParameterEstimate]:
-    """Returns the posterior means and standard deviations of the amplitudes of an effect. The size (scale) of their prior has its
-    most probable value.
+    """Returns the posterior means and standard deviations of the amplitudes of an effect. The prior of the amplitudes has its most
+    probable scale.
 
     `columns`: the columns that belong to this effect, if it is one of a set of effects. `walking`: True if a random walk of the
     gyros acts in addition. `ratios`: array of shape (K,), variance of the residuals of each channel, divided by the variance of the
@@ -131,8 +131,8 @@ def opposite(effect: Shaped, best: Weighed) -> list[ParameterEstimate]:
 
 def of_noise(weighing: Weighing, effect: OutsideCoefficients, beside: Weighed | None = None) -> list[ParameterEstimate]:
     """Returns the parameters of an effect on the noise: white noise density or resolution of each channel of the triad, or the
-    density of the random walk. `beside`: the other effects that act; without them, a random walk would have to explain what they
-    cause."""
+    density of the random walk. `beside`: the other effects that act. Without `beside`, the random walk would also have to explain
+    the changes that these effects cause."""
     observed, name, noise = weighing.observed, effect.id, effect.outside
     gyros = observed.of_kind("gyro")
     triad = observed.of_kind(triad_of(effect))
@@ -178,7 +178,7 @@ such directions, the parameter counts as determined."""
 def nominal_values(weighing: Weighing, nominal: tuple[str, ...]) -> list[ParameterEstimate]:
     """Estimates bias, scale factor and misalignment of every channel by weighted least squares. Terms that the data of the plan do
     not determine are omitted. The field `effect` of each estimate contains the name of the term, such as `accel_bias`. Effects that
-    the simulation lacks influence these estimates."""
+    are missing from the simulation influence these estimates."""
     terms = [
         f"{kind}_{part}"
         for kind in ("gyro", "accel")

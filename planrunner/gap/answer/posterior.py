@@ -87,7 +87,7 @@ class Posterior:
 
 
 def without_unknown(name: str) -> str:
-    """Removes the part that stands for something else from the name of a hypothesis, so that only the effects remain."""
+    """Removes "unknown" from the name of a hypothesis, so that only the names of the effects remain."""
     return "+".join(part for part in name.split("+") if part != UNKNOWN) or UNKNOWN
 
 
@@ -241,8 +241,8 @@ def _of_noise(
 
 
 def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
-    """Returns an addition to the log weight of a cause of `size` effects. The addition allows for noise that differs from the
-    declared noise. `count`: number of effects that the plan can excite."""
+    """Returns the amount that is added to the log weight of a cause of `size` effects. This amount allows for noise that differs
+    from the declared noise. `count`: number of effects that the plan can excite."""
     return float(np.logaddexp.reduce(list(_states_beside(noise, size, count).values())))
 
 
@@ -354,7 +354,7 @@ def _as_named(
 
     `more`: log weights of sets of effects in combination with something else. If the set of such a weight is one of the probable
     sets, the weight is divided among the probable sets of the same size, in proportion to `named`. Sets with a random walk (`walk`)
-    are excluded, because a random walk explains the same part as something else.
+    are excluded, because a random walk explains the same part of the gap as something else.
     """
     whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
     made = {name: value for name, value in logs.items() if name in PRIORS}

@@ -5,16 +5,17 @@ The test determines whether noise alone explains the whitened residuals of a cha
 residuals with the χ² distribution, with Bonferroni's correction for the number of tests. The unexplained part is called the
 remainder. It is computed after the named effects have been fitted to all segments.
 
-If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. Sometimes every explanation
-leaves more than noise. The differences between log evidences are then too large by this ratio. The reason is that the evidence
-treats the samples as independent, but the errors of an explanation are the same in all samples. In this case, the noise variance is
-multiplied by the dispersion before the evidence is computed. This factor is the dispersion of quasi-likelihood (McCullagh and
-Nelder, Generalized Linear Models, 1989, section 4.5). In metrology it is the squared Birge ratio (Birge, Physical Review 40, 1932).
-This correction corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American Statistical
-Association 114, 2019). If chance can explain the ratio, the dispersion is 1. Therefore, without a misfit, the evidence does not
-change.
+If the test shows that noise alone does not explain the residuals, their dispersion is the ratio χ²/ν. Sometimes the residuals of
+every explanation are larger than the noise. The differences between log evidences are then too large by this ratio. The reason is
+that the evidence treats the samples as independent, but the errors of an explanation are the same in all samples. In this case, the
+noise variance is multiplied by the dispersion before the evidence is computed. This factor is the dispersion of quasi-likelihood
+(McCullagh and Nelder, Generalized Linear Models, 1989, section 4.5). In metrology it is the squared Birge ratio (Birge, Physical
+Review 40, 1932). This correction corresponds to a likelihood raised to the power ν/χ² (Miller and Dunson, Journal of the American
+Statistical Association 114, 2019). If chance can explain the ratio, the dispersion is 1. Therefore, without a misfit, the evidence
+does not change.
 
-In array shapes, M is the number of coefficients of a channel, S of segments, and K of channels. ν stands for degrees of freedom.
+In array shapes, M is the number of coefficients of a channel, S is the number of segments, and K is the number of channels. ν is
+the number of degrees of freedom.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def dispersion(rest: Array, degrees: int, means: NDArray[np.int64], tests: int) 
 
 def dispersions(weighing: Weighing, known: Weighed, setting: int = 0) -> Array:
     """Returns the dispersion of each channel's residuals, shape (K,), after known effects have been fitted. `setting`: index of the
-    setting of the noise (levels of flicker and random walk) at which they are fitted."""
+    setting of the noise (levels of flicker and random walk) that is used in the fit."""
     amplitudes = known.amplitudes_at(setting)[0]
     found, count = [], len(weighing.weights)
     for weight, columns in weighing.whitened_at(known, setting):

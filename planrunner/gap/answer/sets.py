@@ -189,9 +189,9 @@ def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, f
 
 def _with_output(weighing: Weighing, usable: Sequence[Candidate], least: float) -> list[EffectSet]:
     """Evaluates pairs of the most probable effect and an effect on the output. An effect on the output, such as a dead zone,
-    depends on the output itself. It is therefore evaluated at an output that contains the most probable effect. For example, an
-    output may be inside the dead zone without this effect, and outside with it. Returns the pairs with an evidence of more than
-    `least`."""
+    depends on the output itself. It is therefore evaluated at an output that contains the most probable effect. For example, the
+    output may be inside the dead zone without the most probable effect, and outside the dead zone with this effect. Returns the
+    pairs with an evidence of more than `least`."""
     first = max(usable, key=lambda c: weighing.evidence(c.log_bayes))
     acting = [c for c in usable if is_whole(c.best.variant.columns) and on_output(c.effect) is not None]
     amplitudes, _ = weighing.amplitudes(first.best, walking=False)

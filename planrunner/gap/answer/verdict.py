@@ -106,8 +106,8 @@ def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[
     terms of the nominal model. The search covers only terms of the nominal model; if `top` is "unknown" and no such term is found,
     it covers all effects in `signatures`.
 
-    `log_evidence`: log evidence of every hypothesis relative to "none". For a strong effect, it is about half of the explained
-    energy. `signatures`: names of the effects that change the outputs, not only the noise.
+    `log_evidence`: log evidence of every hypothesis relative to "none". For a strong effect, the log evidence is about half of the
+    explained energy. `signatures`: names of the effects that change the outputs, not only the noise.
     """
     parts = set(top.split("+"))
     if parts <= set(NOMINAL_TERMS):
@@ -213,9 +213,9 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
 
 
 def _instead(log_evidence: Mapping[str, float], first: str, named: str, among: Collection[str]) -> list[str]:
-    """Returns the effects of the most probable hypothesis `first` that alone explain nearly all of the gap. If `named` is not in
-    this hypothesis, such an effect may act instead of `named`: an output at its limit, for example, shows a smaller scale factor.
-    `log_evidence`: log evidence of each hypothesis. `among`: effects that may be returned."""
+    """Returns those effects of the most probable hypothesis `first` that explain nearly all of the gap without the other effects.
+    If `named` is not in this hypothesis, such an effect may act instead of `named`: an output at its limit, for example, shows a
+    smaller scale factor. `log_evidence`: log evidence of each hypothesis. `among`: effects that may be returned."""
     parts = first.split("+")
     if named in parts:
         return []
@@ -232,8 +232,8 @@ def _without(name: str, effect: str) -> str:
 
 def _named(effects: tuple[str, ...], rivals: tuple[str, ...], residue: str | None, left: bool) -> Verdict:
     """Returns the verdict that names the effects. If there is more than one rival, the verdict names the class that consists of the
-    effects and their rivals. `rivals`: the hypotheses that cannot be distinguished, including that of `effects`. `left`: True if
-    something else acts in addition."""
+    effects and their rivals. `rivals`: the hypotheses that cannot be distinguished from each other, including the hypothesis that
+    consists of `effects`. `left`: True if something else acts in addition."""
     if len(rivals) > 1:
         return Verdict("indistinguishable", effects, rivals, residue, left)
     return Verdict({1: "effect", 2: "pair"}.get(len(effects), "several"), effects, (), residue, left)
@@ -302,10 +302,10 @@ def _residue(found: Posterior, by_id: Mapping[str, Candidate], named: str) -> tu
     """Examines whether the weakest effect of the set `named` may be form residue. Form residue is energy that remains because the
     strongest effect deviates from its idealised form. Returns two values: the effects that the verdict names, and the weakest
     effect if it may be form residue, otherwise None. Two conditions must be true for form residue: the other effects explain more
-    than 50 standard deviations of the noise, and the weakest effect adds less than the fraction `RESIDUE` of what all effects
-    explain together. If the weakest effect adds less than the fraction `FORM`, it is not named. If most of an effect's energy is in
-    channels on which the other effects do not act, or if the effect raises the noise level, it is not form residue. Terms of a
-    nominal model are exact and have no form residue."""
+    than 50 standard deviations of the noise, and the weakest effect adds less than the fraction `RESIDUE` of the energy that all
+    effects explain together. If the weakest effect adds less than the fraction `FORM`, it is not named. If most of an effect's
+    energy is in channels on which the other effects do not act, or if the effect raises the noise level, it is not form residue.
+    Terms of a nominal model are exact and have no form residue."""
     names = named.split("+")
     energies = {name: 2 * float(by_id[name].log_bayes[0]) for name in names if name in by_id}
     first = max(energies, key=lambda name: energies[name], default="")

@@ -1,11 +1,11 @@
 """Computes Bayes factors: the evidence for an effect with unknown amplitudes, relative to no effect.
 
 The strength of an effect is its energy λ. λ is the energy of the effect's signature in units of the noise, without the part that
-the nominal parameters absorb. The ratios between the amplitudes are those of a draw from N(0, D), where the diagonal matrix D
-contains the squared prior magnitudes of the amplitudes. λ is log-uniform from `WEAKEST` to `STRONGEST`. Weaker effects count as
-absent, because they cannot be distinguished from no effect. Amplitudes θ ~ N(0, s²·D) with a log-uniform s² have the same ratios,
-but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed in three steps. First, the log Bayes factor of the
-Gaussian model is computed for given s²:
+the nominal parameters absorb. The ratios between the amplitudes have the same distribution as the ratios between the components of
+a random vector from N(0, D). The diagonal matrix D contains the squared prior magnitudes of the amplitudes. λ is log-uniform from
+`WEAKEST` to `STRONGEST`. Weaker effects count as absent, because they cannot be distinguished from no effect. Amplitudes θ ~ N(0,
+s²·D) with a log-uniform s² have the same ratios, but their λ may be smaller than `WEAKEST`. The Bayes factor is therefore computed
+in three steps. First, the log Bayes factor of the Gaussian model is computed for given s²:
 
     −½·log det(I + s²DG) + ½·s²·cᵀD½(I + s²D½GD½)⁻¹D½c
 
@@ -16,7 +16,7 @@ s², λ is a sum of scaled non-central χ² variables; its distribution is appro
 
 In the functions, `gram` is the matrix G and `score` is the vector c, both in units of the prior magnitudes, so that D = I. `trace`
 is the energy of an effect for an amplitude of 1; it scales the grid of s². In array shapes, p is the number of columns (one
-amplitude each), and E of points of a grid of s².
+amplitude each), and E is the number of points of a grid of s².
 """
 
 from __future__ import annotations
@@ -135,11 +135,12 @@ def held_among(gram: Array, score: Array, scales: Array, held: Sequence[int]) ->
 def best_amplitudes(
     gram: Array, score: Array, widths: Sequence[int] = (), fixed: Sequence[int] = ()
 ) -> tuple[Array, Array]:
-    """Returns the posterior mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of their
+    """Returns the posterior mean (p,) and covariance (p, p) of the amplitudes at the most probable s², in units of the prior
     magnitudes.
 
     `gram`: array of shape (p, p). `score`: array of shape (p,). `widths`: number of columns of each effect if the columns belong to
-    several effects, each with a separate s². `fixed`: columns whose amplitude physics fixes at 1, so that its variance is 0.
+    several effects, each with a separate s². `fixed`: columns whose amplitude is 1 for physical reasons; the variance of these
+    amplitudes is 0.
     """
     p = len(score)
     free = np.delete(np.arange(p), list(fixed))
@@ -174,9 +175,9 @@ def best_scales(gram: Array, score: Array, widths: Sequence[int] = ()) -> Array:
 
 def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[float, float], energies: Array) -> float:
     """Returns the log Bayes factor of the hypothesis that two effects act together. The first effect has the columns 0 … first − 1,
-    and the second effect has the remaining columns. Each effect has a separate s², averaged over the grid `energies`, and at least
-    the strength `WEAKEST`. `gram`: array of shape (p, p). `score`: array of shape (p,). `traces`: trace of each of the two
-    effects."""
+    and the second effect has the remaining columns. The Bayes factor is averaged over the s² of each effect, on the grid
+    `energies`. Each effect has at least the strength `WEAKEST`. `gram`: array of shape (p, p). `score`: array of shape (p,).
+    `traces`: trace of the Gram matrix of each effect."""
     widths = (first, len(score) - first)
     one, two = np.meshgrid(energies / traces[0], energies / traces[1], indexing="ij")
     each = _at_scales(gram, score, widths, np.column_stack([one.ravel(), two.ravel()]))
@@ -186,10 +187,10 @@ def pair_log_bayes_factor(gram: Array, score: Array, first: int, traces: tuple[f
 def set_log_bayes_factor(
     gram: Array, score: Array, widths: Sequence[int], traces: Sequence[float], energies: Array, near: Array
 ) -> float:
-    """Computes the log Bayes factor for the hypothesis that several effects act together. Each effect has a separate s², averaged
-    over the grid `energies`, and at least the strength `WEAKEST`. `gram`: array of shape (p, p). `score`: array of shape (p,).
-    `widths`, `traces`: number of columns and trace of each effect. `near`: array of shape (p,), the values of s² at which the
-    search for the most probable s² starts.
+    """Computes the log Bayes factor for the hypothesis that several effects act together. The Bayes factor is averaged over the s²
+    of each effect, on the grid `energies`. Each effect has at least the strength `WEAKEST`. `gram`: array of shape (p, p). `score`:
+    array of shape (p,). `widths`, `traces`: number of columns and trace of the Gram matrix of each effect. `near`: array of shape
+    (p,), the values of s² at which the search for the most probable s² starts.
 
     A grid over all s² together would have one dimension for each effect. Instead, the most probable s² are found for one effect at
     a time. Then the average over the s² of one effect is computed, with the other s² fixed at their most probable values. The
@@ -223,9 +224,9 @@ def set_log_evidence(gram: Array, score: Array, scales: Array) -> Array:
 
 
 def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) -> Array:
-    """Returns the log Bayes factor of several effects at E combinations of their s², shape (E,). It includes the logarithm of the
-    probability that each effect has at least the strength `WEAKEST`. `gram`: array of shape (p, p). `score`: array of shape (p,).
-    `widths`: number of columns of each effect. `scales`: array of shape (E, effects), the combinations."""
+    """Returns the log Bayes factor of several effects at E combinations of their s², shape (E,). The result includes the logarithm
+    of the probability that each effect has at least the strength `WEAKEST`. `gram`: array of shape (p, p). `score`: array of shape
+    (p,). `widths`: number of columns of each effect. `scales`: array of shape (E, effects), the combinations."""
     p = len(score)
     root = np.sqrt(np.repeat(scales, widths, axis=1))
     inner = np.eye(p) + root[:, :, None] * gram * root[:, None, :]

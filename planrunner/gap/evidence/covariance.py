@@ -12,7 +12,7 @@ covariance q²·min(t, t'). The averages of both covariances over the segments h
 segment continues in all later segments. Therefore, the coefficients of a random walk within a segment are not independent of the
 means of later segments.
 
-In array shapes, S is the number of segments and M of coefficients of a channel.
+In array shapes, S is the number of segments and M is the number of coefficients of a channel.
 """
 
 from __future__ import annotations

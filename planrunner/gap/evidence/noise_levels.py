@@ -61,7 +61,7 @@ def log_densities(observed: Observed, white: Array, degrees: Array, steps: Array
 
     A triad whose noise is too small to dither the counts has no white level to compare. The level of this triad is then assumed to
     deviate from its declaration as much as the level of the other triad. If neither triad can be compared, both levels are assumed
-    to be as declared.
+    to agree with their declarations.
     """
     declared = [channel.resolution or step for channel, step in zip(observed.channels, steps, strict=True)]
     (plain, sigma), (counted, _) = (_excess(observed, white, degrees, each) for each in (declared, steps))
@@ -130,8 +130,8 @@ def _excess(
 
 
 def excess_by_channel(observed: Observed, white: Array, degrees: Array) -> Array:
-    """Returns, for each channel, the log Bayes factor of two hypotheses, shape (K,). In the first, the white noise is larger than
-    declared. In the second, the declaration is correct or has a usual error. `white`, `degrees`: the same as in `log_densities`."""
+    """Returns, for each channel, the log Bayes factor of the hypothesis that the white noise is larger than declared, shape (K,).
+    The alternative is that the declaration is correct or has a usual error. `white`, `degrees`: the same as in `log_densities`."""
     found = np.full(len(observed.channels), -np.inf)
     for index, channel in enumerate(observed.channels):
         if channel.white > 0:

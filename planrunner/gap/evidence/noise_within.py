@@ -10,7 +10,8 @@ all segments. A description with more parameters is used only if Schwarz's crite
 A spectrum that is measured only at rest, or only in motion, is used for all segments if it describes the other segments better than
 white noise.
 
-In array shapes, S is the number of segments, N of samples, K of channels, M of coefficients of a channel, and B of frequency bands.
+In array shapes, S is the number of segments, N is the number of samples, K is the number of channels, M is the number of
+coefficients of a channel, and B is the number of frequency bands.
 """
 
 from __future__ import annotations
@@ -121,16 +122,16 @@ class NoiseWithin:
 
     def without_held(self, observed: Observed, held: NDArray[np.bool_]) -> NoiseWithin:
         """Returns a copy with another level for segments in which samples are replaced by the fit. Replaced samples have no noise,
-        so the measured level of such a segment is too low. If the median level of all segments is higher, it is used instead.
-        `held`: array of shape (N, K), True for replaced samples."""
+        so the measured level of such a segment is too low. If the median level of all segments is higher, the median is used
+        instead. `held`: array of shape (N, K), True for replaced samples."""
         affected = np.logical_or.reduceat(held, observed.bounds[:-1], axis=0)
         return replace(
             self, level=np.where(affected, np.maximum(self.level, np.median(self.level, axis=0)), self.level)
         )
 
     def of_held(self, observed: Observed, spectrum: Spectrum, held: NDArray[np.bool_]) -> list[Blocks]:
-        """Returns, for each channel, by how much the covariances of the coefficients increase because some samples are replaced by
-        the fit. `held`: array of shape (N, K), True for replaced samples.
+        """Returns, for each channel, the increase of the covariances of the coefficients due to samples that are replaced by the
+        fit. `held`: array of shape (N, K), True for replaced samples.
 
         Let G be the rows of the basis V that belong to the other samples of a segment. Only these samples determine the
         coefficients. If a sample has the variance σ², the covariance of the coefficients is then σ²·(GᵀG)⁻¹ instead of σ²·I.
@@ -275,9 +276,9 @@ def _peaks(noise: NoiseWithin, observed: Observed, spectrum: Spectrum, white: Ar
     transform show such a peak with the resolution of a segment's length. Let a harmonic of the frequency f₀ be observed for the
     time T. At rest, its variance is the mean of the squares of these coefficients with the weight sinc²(T·(f − f₀)). In motion, the
     remainder does not contain the harmonic itself, so its neighbours up to the distance 2/T are used instead. If Schwarz's
-    criterion prefers a peak to the spectrum of the bands, the peak counts. If the noise is known to be coloured, the number of data
-    in the criterion is the number of these coefficients, otherwise the number of all coefficients. `white`: array of shape (K,) in
-    SI units, standard deviation of the white noise of a sample.
+    criterion prefers a peak to the spectrum of the bands, the limit is the height of the peak. If the noise is known to be
+    coloured, the number of data in the criterion is the number of these coefficients, otherwise the number of all coefficients.
+    `white`: array of shape (K,) in SI units, standard deviation of the white noise of a sample.
     """
     from scipy.fft import dct
 

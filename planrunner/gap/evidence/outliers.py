@@ -14,7 +14,7 @@ A step of the signal also causes a large estimated error of a sample. A sample i
 its segment has few outliers, and no step near the sample explains more of the signal than the outlier does (Tsay, "Outliers, level
 shifts, and variance changes in time series", Journal of Forecasting 7, 1988).
 
-In array shapes, n is the number of samples of a segment, N of all samples, and K of channels.
+In array shapes, n is the number of samples of a segment, N is the number of all samples, and K is the number of channels.
 """
 
 from __future__ import annotations
@@ -155,9 +155,9 @@ def _step(error: Array, row: int, root: Array, q: Array) -> float:
     """Returns the largest test statistic of a step near a row. This statistic has the same scale as the test statistic of an
     outlier, so that the two can be compared.
 
-    `error`: array of shape (n,), Px of the module's description. `root`: array of shape (n,), inverse standard deviation of each
-    coefficient of the cosine transform. `q`: array of shape (n, m), orthonormal basis of the whitened columns that are fitted
-    (`_solved`).
+    `error`: array of shape (n,), the vector Px that the module docstring defines. `root`: array of shape (n,), inverse standard
+    deviation of each coefficient of the cosine transform. `q`: array of shape (n, m), orthonormal basis of the whitened columns
+    that are fitted (`_solved`).
     """
     from scipy.fft import dct
 

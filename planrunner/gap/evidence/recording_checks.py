@@ -91,7 +91,8 @@ def check_recording(recording: Sequence[RecordedSegment], sensor: SensorModel, w
 
 
 def check_observed(observed: Observed, where: str, log: Findings) -> None:
-    """Checks, from the means of the segments, whether segments can be held out and whether the nominal model fits."""
+    """Checks whether enough segments can be held out, and whether the nominal model fits the segment means. Also checks the noise,
+    the labels, the rates of the table, the reference of the motion, and the limits of the outputs."""
     mark = Mark(where)
     if observed.along is not None:
         _check_poses(observed, mark, log)
@@ -146,8 +147,8 @@ _LOOK = (
 
 
 def _check_steady_rates(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Warns if the rate of the table is not steady in the whole record of a segment: it still changes at the start, or already
-    changes before the end."""
+    """Warns if the rate of the table still changes at the start of the record of a segment, or already changes before the end of
+    this record."""
     found = []
     for index, motion in enumerate(observed.motions):
         if not isinstance(motion, Spin):
@@ -220,8 +221,8 @@ def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, flo
 
 
 def _check_limits(observed: Observed, mark: Mark, log: Findings) -> None:
-    """Warns if the output of a channel is limited during a recorded motion: it has its largest or smallest value in many samples, and
-    hardly ever the value next to it. An output with coarse counts has both values about equally often."""
+    """Warns if the output of a channel is limited during a recorded motion. A limited output has its largest or smallest value in
+    many samples, but the next value in hardly any sample. If the counts are only coarse, both values occur about equally often."""
     moved = observed.moved[observed.owner]
     for index, channel in enumerate(observed.channels if moved.any() else ()):
         values = observed.values[moved, index]
@@ -253,9 +254,9 @@ def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
 
 
 def exchanged_labels(observed: Observed) -> tuple[int, int, float] | None:
-    """Finds two segments with possibly exchanged labels. Their exchange reduces the misfit between the nominal model and the
-    segment means at least by the factor `EXCHANGED`. Returns their indices and the ratio of the root mean square misfits before and
-    after the exchange; None if there are no such segments.
+    """Finds two segments with possibly exchanged labels. An exchange of these labels reduces the misfit between the nominal model
+    and the segment means by at least the factor `EXCHANGED`. Returns their indices and the ratio of the root mean square misfits
+    before and after the exchange; None if there are no such segments.
 
     Let M be the projection onto the residuals of the fit, and e the difference of the unit vectors of the two segments. An exchange
     adds δ·e with δ = −eᵀy to the means y, and 2δ·eᵀMy + δ²·eᵀMe to the sum of squares of the residuals.

@@ -4,7 +4,7 @@ the position of the mean within a count. This error does not average out in repe
 show how small the noise is: readings that alternate between two counts scatter by half a count even if the noise is very small. The
 number of samples at each count does show the size of the noise, because only sufficiently large noise reaches a third count.
 
-In array shapes, K is the number of channels, and S of noise levels.
+In array shapes, K is the number of channels, and S is the number of noise levels.
 """
 
 from __future__ import annotations

@@ -10,8 +10,9 @@ Deterministic effects lie in the span of this basis. The remainder of the sample
 frequency bands describe it. Outliers far outside the noise are replaced by the fit of the basis and counted, because a single
 outlier would affect all coefficients.
 
-In array shapes, N is the number of all samples, n of samples of a segment, M of all coefficients of a channel, m of coefficients of
-a segment, S of segments, K of channels, B of frequency bands, and P of columns.
+In array shapes, N is the number of all samples, n is the number of samples of a segment, M is the number of all coefficients of a
+channel, m is the number of coefficients of a segment, S is the number of segments, K is the number of channels, B is the number of
+frequency bands, and P is the number of columns.
 """
 
 from __future__ import annotations
@@ -105,7 +106,7 @@ class Spectrum:
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
     def outside(self, observed: Observed, columns: Array) -> Array:
-        """Removes from columns (N, P) the components in the basis of each segment, as they were removed from the samples."""
+        """Removes the components in the basis of each segment from columns (N, P), in the same way as from the samples."""
         out = columns.copy()
         for basis, part in zip(self.bases, observed.segments(), strict=True):
             out[part] -= basis.removed @ (basis.removed.T @ out[part])
@@ -277,7 +278,7 @@ def _robust(
     vectors: Array, samples: Array, smallest: Array, held: NDArray[np.bool_] | None
 ) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Fits the basis robustly. Returns the coefficients (m, K), the samples (n, K) minus the fit, and a mask (n, K) of the samples
-    that are spikes. `held`: further samples, as a mask (n, K). Spikes and the samples in `held` do not enter the fit. `vectors`:
+    that are spikes. `held`: mask (n, K) of further samples. Spikes and the samples in `held` are not used for the fit. `vectors`:
     array of shape (n, m), the basis. `smallest`: array of shape (K,), smallest standard deviation that the residuals of the fit are
     assumed to have."""
     coefficients = vectors.T @ samples

@@ -17,8 +17,8 @@ The evidence of a design needs only the eigenvalues of its Gram matrix and the s
 computed from the few rows in which the design is not zero. Let Y be the whitened rows of the design, and B an orthonormal basis of
 the nominal columns. Then the Gram matrix is YᵀY − (BᵀY)ᵀ(BᵀY). The score is Yᵀr, because the residual r has no component along B.
 
-In array shapes, S is the number of segments, M of coefficients of a channel, K of channels, G of settings of the noise, q of
-nominal parameters of a channel, and P of columns.
+In array shapes, S is the number of segments, M is the number of coefficients of a channel, K is the number of channels, G is the
+number of settings of the noise, q is the number of nominal parameters of a channel, and P is the number of columns.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class Setting:
     `flicker`: factor by which the declared flicker level is multiplied. `walk`: level of the random walk in SI/√s. If `alike` is
     True, `walk` is the density of the random walk in every axis; otherwise it is the scale of the prior from which the density of
     each axis is drawn. `prior`: prior probability of this setting. The prior probabilities of all settings without a random walk
-    add up to 1. Of the settings with a random walk, those with an expected energy (`WALKS`) of at most `STRONGEST` have prior
-    probabilities that add up to 1; the same density continues above `STRONGEST`.
+    add up to 1. The prior probabilities of all settings with a random walk whose expected energy (`WALKS`) is at most `STRONGEST`
+    also add up to 1; the same density continues above `STRONGEST`.
     """
 
     flicker: float
@@ -92,8 +92,8 @@ def settings_of(observed: Observed, slow: SlowNoise, means: Array, kind: str) ->
 
 def _walk_energy(observed: Observed, slow: SlowNoise, channel: int, means: Array) -> float:
     """Returns the expected energy of a random walk with unit density in the segment means of one channel, after a constant has been
-    removed. The energy is in units of the noise of the means. This noise has the variances `means` (S,) without slow noise; the
-    declared flicker is added to them."""
+    removed. The energy is in units of the noise of the means. This noise is the sum of the declared flicker and of independent
+    noise with the variances `means` (S,)."""
     noise = np.diag(means) + observed.channels[channel].flicker ** 2 * slow.flicker
     inverse = np.linalg.inv(np.linalg.cholesky(noise))
     walk = inverse @ slow.random_walk @ inverse.T
@@ -102,8 +102,8 @@ def _walk_energy(observed: Observed, slow: SlowNoise, channel: int, means: Array
 
 
 def _sharing(readings: Array, count: float) -> Array:
-    """Returns, for each segment (S,), the number of segments, itself included, whose mean readings have the same rounding error.
-    The mean over such segments has the same rounding error as each of them."""
+    """Returns, for each segment (S,), the number of segments, including the segment itself, whose mean readings have the same
+    rounding error. The mean over such segments has the same rounding error as each of them."""
     return np.asarray(np.exp(-0.5 * ((readings[:, None] - readings) / (count / 4)) ** 2).sum(0))
 
 
@@ -410,8 +410,8 @@ def _besides(walking: Blocks, within: Blocks, measured: NDArray[np.bool_]) -> Bl
 
 
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
-    """Returns, for each channel, the coefficients that each column causes if its amplitude is one `magnitude` of the column, shape
-    (M, P); zero where a column does not act."""
+    """Returns, for each channel, the coefficients that each column causes if its amplitude equals the `magnitude` of the column,
+    shape (M, P); zero where a column does not act."""
     found: dict[tuple[int, tuple[int, ...]], _Shared] = {}
     for index, column in enumerate(columns):
         for channel, part in column.parts.items():

@@ -20,8 +20,8 @@ ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹
 Sources that group the runs in the same way cannot be distinguished, for example one device on one bench, or devices with one run
 each. Such sources form one component.
 
-In array shapes, n is the number of runs, C of components, P of points of the grid, Q of points with a noticeable weight, and m of
-parts (groups) of a component.
+In array shapes, n is the number of runs, C is the number of components, P is the number of points of the grid, Q is the number of
+points with a noticeable weight, and m is the number of parts (groups) of a component.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Evaluates the candidates, that is, the effects that may explain a gap. For each form of every effect (the effect at one value of
 its shape), computes the evidence, and the fraction of the effect's energy that the nominal parameters do not absorb.
 
-In array shapes, N is the number of samples, K of channels, M of coefficients of a channel, G of settings of the noise, p of columns
-of an effect, and q of nominal parameters of a channel.
+In array shapes, N is the number of samples, K is the number of channels, M is the number of coefficients of a channel, G is the
+number of settings of the noise, p is the number of columns of an effect, and q is the number of nominal parameters of a channel.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ at which the form of the effect was computed. Each column of E is the change of 
 difference. The step of these differences is one standard uncertainty of each parameter, because the exact derivative of a dead zone
 is infinite at its edge.
 
-In array shapes, M is the number of coefficients of a channel, G of settings of the noise, and q of nominal parameters of a channel.
+In array shapes, M is the number of coefficients of a channel, G is the number of settings of the noise, and q is the number of
+nominal parameters of a channel.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ waveforms per turn or per rocking period (`patterns`). Further patterns of the c
 offsets of a few seconds (`short_offsets`), and a bias that repeats with an unknown period. The competitors are evaluated like
 effects, individually and in combination.
 
-In array shapes, M is the number of coefficients of a channel, K of channels, S of segments, and G of settings of the noise (levels
-of flicker and random walk). A scope is a channel or a triad.
+In array shapes, M is the number of coefficients of a channel, K is the number of channels, S is the number of segments, and G is
+the number of settings of the noise (levels of flicker and random walk). A scope is a channel or a triad.
 """
 
 from __future__ import annotations

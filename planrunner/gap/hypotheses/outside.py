@@ -9,7 +9,8 @@ is missing. A deviation that appears in most windows of segments of equal length
 sensors contains rare single events. The evidence of the window with the clearest burst is therefore also stated alone: it is the
 evidence of an event that does not recur.
 
-In array shapes, N is the number of all samples, K of channels, F of frequencies, W of windows, and E of energies of a burst.
+In array shapes, N is the number of all samples, K is the number of channels, F is the number of frequencies, W is the number of
+windows, and E is the number of energies of a burst.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ refer to the coefficients that describe each segment (`evidence.spectrum`). Each
 The patterns are offsets, changes of the scale factor, changes within segments (transients), and waveforms per turn or per rocking
 period. Patterns differ from segment to segment, or change smoothly with rate, gravity, temperature or time.
 
-In array shapes, M is the number of coefficients of a channel, and S of segments.
+In array shapes, M is the number of coefficients of a channel, and S is the number of segments.
 """
 
 from __future__ import annotations

@@ -7,8 +7,8 @@ speak more clearly for them. The part of such an offset that lies outside the co
 
 Every window of the run contains an offset with the same small probability. The windows are found one at a time: the best window is
 chosen, its offset is fitted, and the next window is evaluated on what remains. The evidence is that of the chosen windows alone, so
-it is a lower limit of the evidence of all possible choices. As for bursts, the evidence of a single window is also stated alone.
-In array shapes, M is the number of coefficients of a channel, W of windows, and q of basis vectors.
+it is a lower limit of the evidence of all possible choices. As for bursts, the evidence of a single window is also stated alone. In
+array shapes, M is the number of coefficients of a channel, W is the number of windows, and q is the number of basis vectors.
 """
 
 from __future__ import annotations
