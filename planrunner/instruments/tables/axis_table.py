@@ -191,8 +191,8 @@ class AxisTable(Commanded[AxisCommands]):
     # -- the safe state ------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Stops every axis, and then switches the axes off. An axis that does not stop is also switched off, and the failure is
-        reported."""
+        """Stops every axis, and then switches the axes off. Raises `InstrumentError` if an axis does not stop; such an axis is also
+        switched off."""
         self._timed.call_off()
         self._aim, self._rocking, self._ready = Aim(), None, False
         try:
