@@ -172,7 +172,8 @@ def add_analysis(run: GuardedFolder, files: Mapping[str, bytes], basis: Basis) -
     """Adds an analysis in `analyses/<n>` and returns it. `files`: maps each file name to the content of the file.
 
     The analysis is written under a temporary name and then renamed, so it exists completely or not at all. Two simultaneous
-    analyses get different numbers. Raises `InputError` if the analysis cannot be written.
+    analyses get different numbers. Raises `InputError` if the analysis cannot be written, and `ValueError` for a file name that is
+    not allowed.
     """
     storage = Storage()
     for name in files:

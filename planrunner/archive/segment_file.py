@@ -356,7 +356,8 @@ class SegmentData:
             raise self._foreign(str(error)[:200]) from None
 
     def blocks(self, channels: Sequence[str] | None = None) -> Iterator[Block]:
-        """Yields the samples, one block for each row group. `channels`: the channels to return; None for all channels."""
+        """Yields the samples, one block for each row group. `channels`: the channels to return; None for all channels. Raises
+        `IntegrityError` if a channel is missing or the samples cannot be decoded."""
         import pyarrow as pa
 
         names = list(self.units) if channels is None else list(channels)

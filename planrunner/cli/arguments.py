@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 def whole_number(what: str, least: int, most: int | None = None) -> Callable[[str], int]:
-    """Makes a function that reads a whole number from `least` to `most`, for the option `type` of a command-line argument. `what`:
-    a description of the number, for messages."""
+    """Returns a function that reads a whole number from `least` to `most`, for the option `type` of a command-line argument. The
+    function raises `argparse.ArgumentTypeError` for any other text. `what`: a description of the number, for messages."""
 
     def read(text: str) -> int:
         try:
@@ -78,7 +78,8 @@ def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
 
 
 def workers_of(args: argparse.Namespace, jobs: int | None = 1) -> Workers:
-    """Determines the workers that the options request. `jobs`: number of processes if neither --jobs nor --scheduler is given."""
+    """Determines the workers that the options request. `jobs`: number of processes if neither --jobs nor --scheduler is given.
+    Raises `InputError` if both --jobs and a cluster are given."""
     if args.scheduler is None:
         return Workers(jobs if args.jobs is None else args.jobs)
     if args.scheduler == HERE:

@@ -190,8 +190,8 @@ def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
 
 
 def options_of(nominal: list[str] | None) -> DiagnosisOptions | None:
-    """Returns the options of the diagnosis from the command line; None if there are none, in which case the options in the plan
-    apply."""
+    """Returns the options of the diagnosis from the command line; None if none are given, so that the options in the plan apply.
+    Raises `InputError` for an unknown nominal term."""
     from planrunner.gap.answer.diagnosis import DiagnosisOptions
     from planrunner.gap.hypotheses.candidates import FULL
 
@@ -204,7 +204,8 @@ def options_of(nominal: list[str] | None) -> DiagnosisOptions | None:
 
 
 def recorded_of(args: argparse.Namespace, notice: Announce | None) -> Recorded:
-    """Reads the recording from a run folder, or from a file that is given together with a plan."""
+    """Reads the recording from a run folder, or from a file that is given together with a plan. Raises `InputError` if the
+    arguments do not fit together or the recording cannot be read."""
     from planrunner.tasks.diagnose import recorded_file, recorded_run
 
     subject: Path = args.subject

@@ -23,7 +23,7 @@ _ONE_RUN = ("bench", "recording", "segments", "also", "next", "write_plan", "wri
 
 def run_fleet(args: argparse.Namespace, runs: list[Path], nominal: tuple[str, ...] | None) -> int:
     """Diagnoses several runs together and prints the attribution. `nominal`: the terms that the simulations fit; None to use the
-    terms that the plans state."""
+    terms that the plans state. Raises `InputError` for options that apply only to a single run."""
     from planrunner.tasks.diagnose_fleet import diagnose_fleet
 
     given = [f"--{name.replace('_', '-')}" for name in _ONE_RUN if vars(args).get(name)]

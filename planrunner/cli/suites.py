@@ -33,7 +33,7 @@ def add_at(parser: argparse.ArgumentParser) -> None:
 
 def local_time(text: str) -> str:
     """Checks that a text is a local time of the form YYYY-MM-DDTHH:MM; returns the text unchanged. The time is in the time zone of
-    the suite."""
+    the suite. Raises `argparse.ArgumentTypeError` for any other text."""
     try:
         form = re.fullmatch(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d)?", text)
         if form and FIRST_YEAR <= datetime.fromisoformat(text).year <= LAST_YEAR:

@@ -35,7 +35,7 @@ VERDICT = {"pass": "bold green", "warned": "bold yellow", "fail": "bold red", "n
 
 def console(width: int | None = None, file: TextIO | None = None) -> Console:
     """Returns a rich console for these tables. If the output is not a terminal, the console is wide enough for unbroken rows and
-    has no colour."""
+    has no colour. The console raises `BrokenPipeError` if its pipe was closed."""
     from rich.console import Console
     from rich.segment import Segment
 

@@ -315,7 +315,8 @@ def observe(recorded: Recorded, nominal: Sequence[str] = NOMINAL_TERMS) -> tuple
 def corrected_observation(
     recorded: Recorded, nominal: Sequence[str]
 ) -> tuple[Observed, tuple[WrongDeclaration, ...], Findings]:
-    """Does the same as `observe`, but also returns the wrong declarations that were corrected."""
+    """Does the same as `observe`, but also returns the wrong declarations that were corrected. Raises `InputError` with all
+    obstacles to a diagnosis."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.gap.hypotheses.declarations import corrected
     from planrunner.gap.hypotheses.delays import in_step

@@ -134,8 +134,9 @@ def evaluate_run(
     amendment: Amendment | None = None,
     workers: Workers = ALONE,
 ) -> Evaluated:
-    """Does the same as `analyse_run`, but writes nothing. Afterwards, `keep` stores the result as an analysis of the run. The
-    evaluation may run in one process and `keep` in another. `workers`: processes that share the Monte Carlo draws."""
+    """Does the same as `analyse_run`, and raises the same errors, but writes nothing. Afterwards, `keep` stores the result as an
+    analysis of the run. The evaluation may run in one process and `keep` in another. `workers`: processes that share the Monte
+    Carlo draws."""
     issue = issue or Issue()
     amendment = None if amendment is None else checked_amendment(amendment)
     made = _analyse(run, issue, checked, notice, kept=True, amendment=amendment, workers=workers)

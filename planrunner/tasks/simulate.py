@@ -128,7 +128,8 @@ def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]],
 
 def parsed(text: str, option: str = OPTION.file) -> tuple[str, dict[str, str]]:
     """Splits `EFFECT`, `EFFECT=VALUE` or `EFFECT=NAME:VALUE,NAME:VALUE…` into the name of the effect and its values. A value
-    without a parameter name gets the key ''. `option`: name of the command-line option, for messages."""
+    without a parameter name gets the key ''. `option`: name of the command-line option, for messages. Raises `InputError` for a
+    text of any other form."""
     name, equals, rest = (part.strip() for part in text.partition("="))
     values: dict[str, str] = {}
     for piece in rest.split(",") if equals else ():

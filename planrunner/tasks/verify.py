@@ -181,7 +181,8 @@ def runs_beneath(archive: Path) -> list[Path]:
 
 
 def runs_in(archive: Path) -> list[Path]:
-    """Does the same as `runs_beneath`, except that there is no error if the folder contains no run or does not exist."""
+    """Does the same as `runs_beneath`, but returns an empty list if the folder contains no run or does not exist. Raises
+    `InputError` if a folder cannot be read."""
     if not archive.exists():
         return []
     try:

@@ -157,7 +157,8 @@ class Index:
         """Reads the runs that are new or changed, and removes those that no longer exist.
 
         `rebuild`: True to read all runs again. `notice`: receives the progress. `workers`: the processes that read the runs; by
-        default, processes on this machine, whose number depends on the amount of work.
+        default, processes on this machine, whose number depends on the amount of work. Raises `InputError` if the archive cannot be
+        read.
         """
         query = self._database.query
         rows = query("SELECT folder, fingerprint FROM runs WHERE archive = ?", (self._name,))
