@@ -1,10 +1,10 @@
 """Writes and reads the journal of a run. The journal has one event per line, and each line contains the SHA-256 of the previous
 line.
 
-A line is acknowledged when `Journal.append` returns. In durable mode, it is on the disk at this time. A process that is killed
-during a write leaves an incomplete last line, which was never acknowledged; resuming the run removes it. If the chain is broken
-anywhere else, the file was changed, and the journal is refused. A journal is also refused if a line, the file or the number of
-events exceeds the limits that planrunner observes when it writes.
+A line is acknowledged when `Journal.append` returns. In durable mode, the line is then on the disk. A process that is killed during
+a write leaves an incomplete last line, which was never acknowledged; resuming the run removes it. If the chain is broken anywhere
+else, the file was changed, and the journal is refused. A journal is also refused if a line, the file or the number of events
+exceeds the limits that planrunner observes when it writes.
 """
 
 from __future__ import annotations

@@ -20,7 +20,8 @@ MOST_TURNS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Acknowledged:
-    """Describes a segment that counts: its files, its readings, and, if it is shorter than planned, the reason."""
+    """Describes a segment that counts: its files and its readings. If the segment is shorter than planned, also gives the
+    reason."""
 
     index: int
     label: str

@@ -10,8 +10,8 @@ Sealed runs are written once (`push_run`): an existing file is never replaced, a
 seal is written last. An interrupted push therefore leaves a run that is not sealed, and the next push completes it. On a file
 system that writes files piece by piece, a file has a temporary name until it is complete.
 
-A command that has copied a remote folder holds a lock on the copies of that archive until it ends. Otherwise another command could
-remove an analysis that has not yet been written to the remote run.
+A command that has copied a remote folder holds a lock on the copies of that archive until the command ends. Otherwise another
+command could remove an analysis that has not yet been written to the remote run.
 """
 
 from __future__ import annotations
@@ -303,8 +303,8 @@ class Pulled:
 
 
 def pull_runs(copy: Path, folder: Path) -> Pulled:
-    """Copies the runs in the local copy of a remote archive into another folder, after they have been verified. Existing runs with
-    the same name stay as they are. Raises `IntegrityError` for a run that was changed; in this case no run is copied."""
+    """Verifies the runs in the local copy of a remote archive, and copies them into another folder. Existing runs with the same
+    name stay as they are. Raises `IntegrityError` for a run that was changed; in this case no run is copied."""
     found = [one for one in find_runs(copy) if not one.fault]
     for one in found:
         examine(open_run(one.path), samples="digests").require_whole()

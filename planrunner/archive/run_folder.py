@@ -383,8 +383,8 @@ class RunWriter:
         self._account(parts)
 
     def break_off(self, reason: str, clock: float, states: Mapping[str, Json]) -> None:
-        """Ends the segment in progress after an interruption; does nothing between segments. The samples of the segment are kept. With
-        `on_break: keep` in the plan, estimates use them."""
+        """Ends the segment in progress after an interruption; does nothing between segments. The samples of the segment are kept.
+        Estimates use these samples if the plan states `on_break: keep`."""
         segment = self._segment
         if segment is None:
             return

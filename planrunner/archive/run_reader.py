@@ -60,8 +60,8 @@ class RunReader:
         """Opens a run folder. The digests of everything except samples are checked now; the digests of samples are checked when the
         samples are read (see `verifying`).
 
-        Raises `InputError` if `path` is not a run folder, and `IntegrityError` if it differs from what was written. If a run was
-        killed, an incomplete last line is ignored. `to_reopen`: True to accept faults that are repaired when the run is reopened.
+        Raises `InputError` if `path` is not a run folder, and `IntegrityError` if the folder was changed. If a run was killed, an
+        incomplete last line is ignored. `to_reopen`: True to accept faults that are repaired when the run is reopened.
         """
         return cls.of(examine(open_run(path)), to_reopen=to_reopen)
 

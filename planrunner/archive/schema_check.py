@@ -3,7 +3,7 @@ events.
 
 Only the keywords used in the schemas of run folders are supported. Any other keyword makes the compilation fail, so that no keyword
 is ignored. The check is stricter than the standard in three points: an integer has no decimal point, a number is finite, and
-`format` (date-time with an offset, date) is checked. All files of a run folder meet these points.
+`format` (date-time with an offset, date) is checked. All files of a run folder meet these stricter rules.
 """
 
 from __future__ import annotations

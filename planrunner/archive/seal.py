@@ -37,7 +37,7 @@ def seal_of(folder: GuardedFolder, run: str, files: Mapping[str, str], head: str
 
 
 def parse_seal(data: bytes, path: Path) -> JsonObject:
-    """Returns the content of a seal. Raises `IntegrityError` if it does not match its schema or its own digest."""
+    """Returns the content of a seal. Raises `IntegrityError` if the seal does not match its schema or its own digest."""
     seal = formats.parse_json(data, path, "seal", "planrunner_seal", formats.SEAL_FORMAT)
     formats.require_own_digest(data, seal, path)
     return seal

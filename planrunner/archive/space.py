@@ -17,8 +17,8 @@ RESERVE = 16 * 2**20  # analyses and reports
 def recording_bytes(schedule: Schedule, sample_rate: float, channels: int) -> int:
     """Returns the largest number of bytes that a run of `schedule` can write.
 
-    `sample_rate`: sample rate of the sensor, Hz, for segments that do not state one. `channels`: number of columns, not counting
-    the time. A segment whose length is determined by a recording that is played back counts as zero.
+    `sample_rate`: sample rate of the sensor, Hz, for segments that do not state a sample rate. `channels`: number of columns, not
+    counting the time. A segment whose length is determined by a recording that is played back counts as zero.
     """
     values = sum(
         (segment.dwell or 0.0) * (segment.sample_rate or sample_rate) * (channels + 1) for segment in schedule.segments

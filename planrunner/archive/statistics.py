@@ -13,8 +13,8 @@ The fitted course is then subtracted from the batch means, and its contribution 
 
 The course repeats with the period of the motion. If an output is linear in the sensed quantity, it contains the fundamental
 frequency; a second-order effect adds twice this frequency. The amplitude and phase of the fundamental may change linearly over the
-segment: if the rate of a table is wrong by some ppm, its phase drifts away from the planned phase. A rocking table causes more
-harmonics, because the sensed quantity is a sine of an angle that is itself a sine of time.
+segment: if the rate of a table is wrong by some ppm, the phase of the signal drifts away from the planned phase. A rocking table
+causes more harmonics, because the sensed quantity is a sine of an angle that is itself a sine of time.
 """
 
 from __future__ import annotations

@@ -165,7 +165,7 @@ def verify(run: Path, *, samples: SampleCheck = "contents") -> list[Finding]:
 
 
 def open_run(path: Path) -> GuardedFolder:
-    """Opens the folder of a run that the user named. Raises `InputError` if it is not a run folder."""
+    """Opens the folder of a run that the user named. Raises `InputError` if the folder is not a run folder."""
     try:
         folder = GuardedFolder.open(path)
         known = any(folder.entry(name) is not None for name in SIGNS)

@@ -119,7 +119,7 @@ def _show(study: Study) -> None:
 
 
 def _write(args: argparse.Namespace, study: Study) -> None:
-    """Writes the page of the study and the improved plan, each only if requested."""
+    """Writes the page of the study and the improved plan, if the user requests them."""
     out = sys.stderr if args.json else sys.stdout
     if args.html is not None:
         from planrunner.reporting.study_page import render_page

@@ -173,8 +173,8 @@ def _compared(made: Diagnosed, simulation: str | None) -> JsonObject:
 
 
 def _write(args: argparse.Namespace, made: Diagnosed) -> list[str]:
-    """Writes the plan and the bench with the effects that the diagnosis named, each only if requested. Returns the lines to print
-    about these files."""
+    """Writes the plan and the bench with the effects that the diagnosis named, if the user requests them. Returns the lines to
+    print about these files."""
     asked = [path for path in (args.write_plan, args.write_bench) if path is not None]
     if asked and not made.diagnosis.verdict.named:
         return [f"No effect is named: {path} is not written." for path in asked]
@@ -226,8 +226,8 @@ def recorded_of(args: argparse.Namespace, notice: Announce | None) -> Recorded:
 
 
 def _next(args: argparse.Namespace, found: JsonObject) -> str:
-    """Writes the proposed plan to the file that `--next` names, or beside the page by default, and enters the path of the file in
-    the diagnosis."""
+    """Writes the proposed plan to the file that `--next` names; by default, to a file next to the page. Enters the path of the file
+    in the diagnosis."""
     following = found["next"]
     if following is None:
         return ""

@@ -124,7 +124,7 @@ def _add(args: argparse.Namespace) -> int:
 
 
 def _require_ring(text: str, path: Path, name: str) -> None:
-    """Checks `text`, which is the file of a key ring with a new entry. Raises `InputError` if it is not a key ring that contains
+    """Checks the text of a key ring after an entry was added. Raises `InputError` if the text is not a key ring that contains
     `name`."""
     from planrunner.signing.key_ring import parse_ring
 

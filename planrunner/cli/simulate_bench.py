@@ -159,7 +159,7 @@ async def _serve(args: argparse.Namespace, bench: Bench, data: bytes, shown: str
 
 
 def _copied(data: bytes, bench: Bench, control: str, serving: Serving) -> bytes:
-    """Returns the text of the bench file, in which each address is replaced by the address at which the instrument is served."""
+    """Returns the text of the bench file after replacing each address by the address at which the instrument is served."""
     from planrunner.bench.model import driver_of
     from planrunner.instruments.interfaces import Addressed
     from planrunner.simulators.from_bench import simulation_of

@@ -399,8 +399,8 @@ class Origin:
 
     @cached_property
     def keys(self) -> Mapping[str, Mark]:
-        """Maps the path of each key to a position in the file. For example, the path `report` means the value of this key,
-        `report[1]` the second entry of its list, and `limits.x` the value of `x` in the mapping `limits`."""
+        """Maps the path of each key to a position in the file. For example, the path `report` refers to the value of this key,
+        `report[1]` refers to the second entry of its list, and `limits.x` refers to the value of `x` in the mapping `limits`."""
         marks: dict[str, Mark] = {}
         for name, item in self._node.entries if self._node else ():
             marks[name.text] = _used(name, item)

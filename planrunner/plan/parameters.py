@@ -1,5 +1,5 @@
 """Replaces the values of parameters in the text of a plan. A parameter is a value with a YAML anchor, such as `dwell: &dwell 2
-min`. A run or a suite may give another value for it.
+min`. A run or a suite may replace this value.
 
 A plan with other values for its parameters is a different plan. The text of the new plan differs only in these values; every other
 line keeps its position. The run stores the changed text, so readers of the run need nothing else.

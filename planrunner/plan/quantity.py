@@ -130,8 +130,8 @@ def parse_quantity(text: str, dimension: str | None = None) -> Quantity:
 
 
 def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
-    """Parses the values of a sweep, such as `±300, ±150 deg/s` or `10, 20, 30 deg`; ± gives two values, first the positive and then
-    the negative one. Raises `QuantityError` if the text is not such a list.
+    """Parses the values of a sweep, such as `±300, ±150 deg/s` or `10, 20, 30 deg`; ± gives two values, first the positive value
+    and then the negative value. Raises `QuantityError` if the text is not such a list.
 
     A unit after the last value applies to values without a unit. A comma separates two values only if a space follows it, so that
     it differs from a decimal comma.

@@ -1,4 +1,5 @@
-"""Rewrites orientations, dwells, moves or rates in the text of a plan. Only the rewritten values change; comments and layout stay.
+"""Rewrites orientations, dwells, moves or rates in the text of a plan. Only the rewritten values change; comments and layout are
+preserved.
 
 An orientation is written as the nearest orientation in words, followed by turns about the sensor's axes, so that a reviewer can
 imagine it.
@@ -30,8 +31,8 @@ class RewriteError(ValueError):
 
 @functools.cache
 def cardinal_orientations() -> tuple[Matrix, ...]:
-    """Returns the 24 right-handed attitudes with axes parallel to the site's axes. Each is a matrix whose rows are the sensor's
-    axes in East-North-Up."""
+    """Returns the 24 right-handed attitudes with axes parallel to the site's axes. Each attitude is a matrix whose rows are the
+    sensor's axes in East-North-Up."""
     found = []
     for first, second in itertools.permutations(CARDINAL.values(), 2):
         if np.dot(first, second) == 0:

@@ -142,8 +142,8 @@ def _rules(limits: Sequence[LimitVerdict]) -> list[dict[str, str]]:
 
 
 def guard_band(limit: LimitVerdict) -> str:
-    """Returns the width of the guard band in the unit of the limit; empty if the results come from an earlier version, which did
-    not store it."""
+    """Returns the width of the guard band in the unit of the limit; empty if the results come from an earlier version that did not
+    store this width."""
     return "" if math.isnan(limit.guard_band) else two_digits(limit.guard_band)
 
 

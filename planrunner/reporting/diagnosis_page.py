@@ -204,7 +204,8 @@ def _something_else(found: Data) -> str:
 
 
 def _much(found: Data, nearly: bool) -> str:
-    """States in words how much of the gap the named effects explain. If the residual gap is only noise, they explain all of it."""
+    """States in words how much of the gap the named effects explain. If the residual gap is only noise, the named effects explain
+    the whole gap."""
     rest = found.get("rest")
     if rest is not None and not rest["passes"]:
         return "nearly all of the gap"

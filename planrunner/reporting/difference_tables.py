@@ -271,7 +271,8 @@ def _facts(title: str, compared: Compared, *, conditions: bool) -> Table:
 
 
 def difference_json(compared: Compared) -> JsonObject:
-    """Returns the difference according to schemas/difference.schema.json. JSON has no NaN and no infinity: both become null."""
+    """Returns the difference according to schemas/difference.schema.json. NaN and infinity become null, because JSON has no such
+    numbers."""
     found = compared.meaning
     document: JsonObject = {
         "planrunner_difference": FORMAT,

@@ -58,7 +58,7 @@ def orientation_svg(attitude: Array | None, name: str = "") -> str:
 
 
 def _site_frame() -> list[str]:
-    """Draws the horizon as a disc with its four directions named, and a plumb line."""
+    """Draws a plumb line, and the horizon as a disc with the names of the four directions."""
     turns = np.linspace(0, 2 * math.pi, 49)
     ring = [project(1.0 * np.array([math.cos(t), math.sin(t), 0.0])) for t in turns]
     path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in ring[:-1]) + "Z"

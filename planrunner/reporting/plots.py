@@ -62,7 +62,7 @@ _STYLE: dict[RcKeyType, object] = {
 def plot_svg(plot: Plot, key: str) -> str:
     """Returns one chart: points with error bars (±1 standard uncertainty) over labels, points and lines over numbers, or curves.
 
-    `key`: a name of letters, digits and hyphens that is unique in the page. All ids in the picture begin with it.
+    `key`: a name of letters, digits and hyphens that is unique in the page. All ids in the picture begin with this key.
     """
     labels = _labels(plot.x)
     with drawing(WIDTH, 3.1) as (figure, save):

@@ -23,8 +23,8 @@ def segment_table(segments: Sequence[SegmentSummary]) -> Table:
 
 
 def segment_tables(segments: Sequence[SegmentSummary]) -> list[Table]:
-    """Returns the content of `segment_table` in one table or, if there are too many channels, in several: first the segments, then
-    the channels. Each table repeats the numbers and labels of the segments."""
+    """Returns the content of `segment_table` in one table if there are few channels. Otherwise, the first table shows the states of
+    the segments, and the following tables show the channels. Each table repeats the numbers and labels of the segments."""
     channels = _channels(segments)
     if len(channels) <= ABREAST:
         return [segment_table(segments)]

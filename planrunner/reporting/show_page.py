@@ -219,8 +219,8 @@ _SOAK_AND_SETTLE: tuple[Shown[Segment], ...] = (
 
 
 def _motion_columns(segments: Sequence[Segment], brief: bool) -> list[Shown[Segment]]:
-    """Returns the columns that show the motion: none if all segments are at rest; numbers if all motions are rates about one
-    direction; otherwise words."""
+    """Returns the columns that show the motion. If all segments are at rest, there is no column. If all motions are rates about one
+    direction, the column contains numbers; otherwise, it contains words."""
     moving = [item.motion for item in segments if not isinstance(item.motion, Rest)]
     if not moving:
         return []

@@ -6,8 +6,8 @@ SHA-256 digest of the canonical meaning of the plan without its bench (`procedur
 of the bench's meaning without the required approvals (`equipment_of`). A withdrawal is a statement of the same form that names
 earlier approvals.
 
-For every approval, `judged` determines whether it counts under the rule of a bench and, if it does not, the reason. The function
-reads no files and needs no private key.
+For every approval, `judged` determines whether the approval counts under the rule of a bench. If it does not count, `judged` states
+the reason. The function reads no files and needs no private key.
 """
 
 from __future__ import annotations
@@ -366,8 +366,8 @@ def _standing(
     asked: ApprovalRequest,
     gone: set[str],
 ) -> tuple[ApprovalStanding, str]:
-    """Determines whether an approval counts, and the reason if it does not. The key and the signature are checked first, because
-    without a valid signature, all other values are only claims."""
+    """Determines whether an approval counts and, if it does not, states the reason. The key and the signature are checked first,
+    because without a valid signature, all other values are only claims."""
     what, day = one.what, asked.day
     if known is None:
         return "unknown key", f"its key {one.envelope.key} is not in the key ring"

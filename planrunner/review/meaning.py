@@ -1,9 +1,9 @@
 """Computes the meaning of a plan or a bench: everything that affects what is done or measured, and nothing else.
 
-The meaning is made by reading and expanding the file: it has one entry for each segment, with inherited and default keys filled in,
-and with quantities in SI-coherent units. Comments, formatting, the order of keys, the way in which a sweep is written, units, and
-texts for readers (title, description) are not part of it. Two files with the same meaning have the same canonical JSON (RFC 8785)
-and the same SHA-256 digest.
+The meaning is the expanded content of the file. It has one entry for each segment, with inherited and default keys filled in, and
+with quantities in SI-coherent units. Comments, formatting, the order of keys, the way in which a sweep is written, units, and texts
+for readers (title, description) are not part of the meaning. Two files with the same meaning have the same canonical JSON (RFC
+8785) and the same SHA-256 digest.
 
 Numbers are rounded to 12 significant digits, so that the conversion of units does not change them. Labels are part of the meaning,
 because recordings and estimates refer to segments by labels.
@@ -136,7 +136,8 @@ def meaning_of_plan(plan: Plan, bench: Bench | None = None) -> Meaning:
 
 
 def meaning_of_bench(bench: Bench) -> Meaning:
-    """Returns the meaning of a bench. Calibrations and asset numbers are part of it, because results are traceable through them."""
+    """Returns the meaning of a bench. Calibrations and asset numbers are part of the meaning, because results are traceable through
+    them."""
     content = _record(bench)
     for name in ("planrunner_bench", "description"):
         content.pop(name)

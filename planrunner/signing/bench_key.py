@@ -1,9 +1,9 @@
 """Finds the private key of a bench on its computer: a file in the folder of signing keys, or a key that the running ssh-agent
 holds.
 
-Runs may end when nobody is present, so the program never asks for the passphrase of such a key. There are two possibilities. Either
-the key file has no passphrase, and only its owner can read it (like the host keys of SSH); or the passphrase is in an environment
-variable.
+Runs may end when nobody is present, so the program never asks for the passphrase of such a key. Two arrangements are possible. The
+key file may have no passphrase; then only its owner can read it, as for the host keys of SSH. Otherwise, the passphrase is in an
+environment variable.
 """
 
 from __future__ import annotations

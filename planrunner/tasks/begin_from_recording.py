@@ -49,7 +49,8 @@ def _quoted(text: str) -> str:
 
 
 def _stated(keys: Record) -> list[str]:
-    """Returns those keys of a record that differ from their defaults, in YAML. The separator of a text is always stated."""
+    """Returns, as lines of YAML, the keys of a record whose values differ from the defaults. The separator of a text is always
+    stated."""
     found = []
     for name, item in keys_of(type(keys)).items():
         value = getattr(keys, item.name)

@@ -88,8 +88,8 @@ def sign_analysis(
     """Signs an analysis that has just been made from the run. Returns the reason why the analysis is not signed; empty if it is
     signed or does not need a signature.
 
-    The bench signs an analysis only if it also signed the seal. The signed seal guarantees that the samples are those that the
-    bench recorded. `elsewhere`: True if another computer computed the results; the bench then does not sign them.
+    The bench signs an analysis only if it also signed the seal. The signed seal guarantees that the bench recorded the samples.
+    `elsewhere`: True if another computer computed the results; the bench then does not sign them.
     """
     public = key_of(bench)
     if public is None or not reader.sealed:

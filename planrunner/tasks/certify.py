@@ -193,8 +193,8 @@ def _check_estimates(sound: Sound, shown: CertificateFacts, mark: Mark, log: Fin
 
 
 def _check_amendment(reader: RunReader, shown: CertificateFacts, mark: Mark, log: Findings) -> None:
-    """Checks ISO/IEC 17025, 7.8.8: an issued certificate may only be replaced by a new one with a different number, which names the
-    replaced certificate and the reason."""
+    """Checks ISO/IEC 17025, 7.8.8: only a new certificate with a different number may replace an issued certificate. The new
+    certificate must name the replaced certificate and the reason."""
     told = shown.told
     earlier = [one for one in reader.analyses if any(map(is_certificate, one.files))]
     numbers = [_number_of(one) for one in earlier]
@@ -234,7 +234,7 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
-    """Returns the reason why a run cannot be the run before the adjustment: it is the certified run itself, or it was made with
+    """Returns the reason why a run cannot be the run before the adjustment: the run is the certified run itself, or was made with
     another item. Returns an empty list if neither is the case."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
         message = "this is the run to be certified; it cannot also be the run before the adjustment"

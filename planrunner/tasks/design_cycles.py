@@ -1,7 +1,7 @@
 """Designs the rotation cycle of a segment. Computes which part of a constant horizontal sensor error remains after the planned
 cycle, and finds cycles after which no part of the error remains.
 
-In a study, angles and rotations are positive in the sense of rotation that the plan states, which may be clockwise.
+In a study, angles and rotations are positive in the plan's sense of rotation, which may be clockwise.
 """
 
 from __future__ import annotations

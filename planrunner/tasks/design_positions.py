@@ -206,8 +206,8 @@ class _Designer:
         return np.array([joint_angles(self.axes, one, np.zeros(len(self.axes)), self.azimuth) for one in attitudes])
 
     def _weighting(self, criterion: str) -> Array | None:
-        """Returns the matrix of the linear criterion for the search; None for the criteria D and G. For G, a set found for
-        criterion D is improved afterwards."""
+        """Returns the matrix of the linear criterion for the search; None for the criteria D and G. For G, the set that was found
+        for criterion D is improved afterwards."""
         if criterion in "DG":
             return None
         return np.eye(self.terms) if criterion == "A" else region_moment(self.region_rows)
@@ -223,7 +223,7 @@ class _Designer:
         return exchange.choose(rows, self.count, weighting, seed=self.asked.seed, fixed=self.fixed, progress=tell)
 
     def _flattened(self, rows: Array, indices: exchange.Indices) -> exchange.Indices:
-        """Returns the indices of the chosen rows. For criterion G, rows are first exchanged for others to reduce the largest
+        """Returns the indices of the chosen rows. For criterion G, rows are first replaced by other rows to reduce the largest
         variance."""
         if self.asked.criterion != "G":
             return indices

@@ -2,8 +2,8 @@
 
 The layers are independent of each other; this module combines them for the command line and for other programs.
 
-Several recordings of one sensor, made one after the other, can be joined to one recording: for example, the recording of a plan and
-the recording of the plan that was proposed after it.
+Several recordings of one sensor, made one after the other, can be joined. For example, the recording of a plan can be joined with
+the recording of the plan that was proposed afterwards.
 """
 
 from __future__ import annotations
@@ -238,8 +238,8 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
 
 
 def _noise(found: Diagnosis) -> dict[Sense, float]:
-    """Returns the white noise of the gyros and of the accelerometers, in the units of `Grade.quietest`. Each value is the median
-    over the channels of the declared noise. For a channel without a declaration, the measured noise is used."""
+    """Returns the white noise of the gyros and of the accelerometers, in the units of `Grade.quietest`. Each value is the median of
+    the declared noise over the channels. For a channel without a declaration, the measured noise is used."""
     import math
 
     from planrunner.bench.specification import Sense
@@ -453,7 +453,7 @@ def _outputs(plan: Plan) -> tuple[str, ...]:
 
 def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
     """Returns the segments that the plan's `diagnosis` selects by their labels, in the order of time. If the plan asks for
-    intervals at rest, returns those detected in these segments instead."""
+    intervals at rest, returns the intervals detected in these segments instead."""
     return in_time_order(_meant(recorded))
 
 
@@ -566,8 +566,8 @@ def recorded_file(
 
 
 def _bench_for_others(bench: str, plan: Path | None) -> str:
-    """Returns a bench in a form in which a plan in another folder can name it. `plan`: plan file that names the bench; None if the
-    command line names it."""
+    """Returns the name or path of a bench in a form that is also valid in a plan in another folder. `plan`: plan file that names
+    the bench; None if the command line names it."""
     path = Path(bench) if plan is None else plan.parent / bench
     return bench if bench in shipped_benches() else str(path.resolve())
 

@@ -1,4 +1,4 @@
-"""Runs a checked plan: opens the bench, executes the schedule, and seals the recording; also continues interrupted runs.
+"""Runs a checked plan: opens the bench, executes the schedule, and seals the recording. Also continues interrupted runs.
 
 The layers are independent of each other; this module combines them for the command line and for other programs.
 """

@@ -30,8 +30,7 @@ from planrunner.tasks.prove import prove
 
 
 def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: str = "") -> RunSignature:
-    """Verifies a run with its samples, and signs it. Returns the signature in the state that it has for a reader without a key
-    ring.
+    """Verifies a run with its samples, and signs it. Returns the signature as read without a key ring.
 
     Raises `InputError` for a run without a seal or an analysis, or for a key that must not sign, and `IntegrityError` for a run
     that was changed.

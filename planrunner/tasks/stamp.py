@@ -1,4 +1,4 @@
-"""Adds time stamps to runs. Makes the object that obtains time stamps for a bench, and stamps a seal when it is written or
+"""Adds time stamps to runs. Makes the object that obtains time stamps for a bench, and stamps a seal when the seal is written, or
 later."""
 
 from __future__ import annotations

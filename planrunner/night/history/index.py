@@ -410,7 +410,8 @@ def literal(text: str) -> str:
 
 def _moment(text: str) -> datetime:
     """Converts a text to a moment in UTC. No run has a year outside `FIRST_YEAR` to `LAST_YEAR`. A moment far outside this range is
-    therefore replaced by a moment slightly outside the range. Days can then be added to it without leaving the calendar."""
+    therefore replaced by a moment slightly outside the range. Days can then be added to the moment without leaving the range of the
+    calendar."""
     try:
         moment = datetime.fromisoformat(text)
         if not FIRST_YEAR <= moment.year <= LAST_YEAR:

@@ -1,5 +1,5 @@
-"""Reads a run folder for the index. As the folder may come from another person, it is opened with the same precautions as in all
-other commands, and its faults do not affect other folders."""
+"""Reads a run folder for the index. Because the folder may come from another person, it is opened with the same precautions as in
+all other commands, and its faults do not affect other folders."""
 
 from __future__ import annotations
 

@@ -188,8 +188,8 @@ def _explained(one: ChangePoint, held: Sequence[Sequence[Circumstance]]) -> Chan
 
 
 def _in_unit(point: HistoryPoint, unit: str, first: float | None) -> tuple[float, float] | None:
-    """Converts a value and its uncertainty to another unit. Returns None if this is not possible, or if one of them is not finite.
-    A circular value is shifted by whole turns so that it is nearest to the first value."""
+    """Converts a value and its uncertainty to another unit. Returns None if this is not possible, or if the value or its
+    uncertainty is not finite. A circular value is shifted by whole turns so that it is nearest to the first value."""
     one = point.coefficient
     try:
         value, u, period = one.value, one.standard_uncertainty, one.period
