@@ -239,8 +239,8 @@ def _on_gaps(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -
 
 
 def _on_ends(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -> None:
-    """Warns of the segment with the longest time without samples at its beginning or its end. After a jump of the recorded time, the
-    table of segments no longer agrees with the samples."""
+    """Warns if a segment has no samples for some time at its beginning or at its end. The warning names the segment for which this
+    time is longest. After a jump of the recorded time, the table of segments no longer agrees with the samples."""
     worst, longest, place = None, 0.0, (0.0, 0.0)
     for one, seen in zip(wanted, found.seen, strict=True):
         start, end = max(one.played.start, found.first), min(one.played.end, found.last + found.period)

@@ -1,5 +1,5 @@
-"""Finds the segments of a recording that is played back. The segments are stated by the rows of a table, or are the parts between
-pauses.
+"""Finds the segments of a recording that is played back. Each segment is stated in a row of a table, or is a part of the recording
+between two pauses.
 
 The table is a small CSV file; each row contains a label, a start time and an end time. Without a table, pauses in the recorded time
 divide the recording.
