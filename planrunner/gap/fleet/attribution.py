@@ -76,8 +76,8 @@ class Estimates:
 
     `values`, `standard_uncertainties`: arrays of shape (n,), in one unit; all are finite, and the uncertainties are positive.
     `groups`: for each source except `COMMON`, the labels (n) of the groups to which the runs belong. `since`: for each source with
-    steps (`fleet.changes`), n texts, one for each run: the moment of the last step of the run's group up to this run, or an empty
-    text if there was no step. After each step, the group counts as a new group.
+    steps (`fleet.changes`), n texts, one for each run. The text states the moment of the latest step of the run's group at or
+    before this run; it is empty if there was no such step. After each step, the group counts as a new group.
     """
 
     values: Array
@@ -249,9 +249,9 @@ class _Model:
         self._limits = 0.5 * np.log(energies / float((1 / self._variance).sum()))
 
     def _weighed(self, spreads: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns the arrays S (P, n), G^½ (P, g), M (P, g, g) and G^½c (P, g) of the formulas in the module's description.
-        `spreads`: array of shape (P, C), P sets of the standard deviations σ of the C chosen components. g counts the groups of
-        these components, except those of a component in which each run forms its own group."""
+        """Returns the arrays S (P, n), G^½ (P, g), M (P, g, g) and G^½c (P, g) of the formulas in the module docstring. `spreads`:
+        array of shape (P, C), P sets of the standard deviations σ of the C chosen components. g counts the groups of these
+        components, except those of a component in which each run forms its own group."""
         s = np.broadcast_to(self._variance, (len(spreads), len(self._y)))
         if self._alone is not None:
             s = s + spreads[:, [self._alone]] ** 2

@@ -130,9 +130,9 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
 
 
 def since_steps(found: Sequence[FleetChange], moments: Sequence[str]) -> dict[Source, list[str]]:
-    """Returns the moments of steps in the form of `Estimates.since`: for each run, the moment of the last step of its device or
-    bench up to this run. `moments`: moment of every run, in order of time. A step that several sources may have made is attributed
-    to the first of them. A step that all runs have in common begins no new groups."""
+    """Returns the moments of steps in the form of `Estimates.since`: for each run, the moment of the latest step of its device or
+    bench at or before this run. `moments`: moment of every run, in order of time. If several sources may have caused a step, the
+    step is attributed to the first of them. A step that all runs have in common does not begin new groups."""
     since = {source: [""] * len(moments) for source in (Source.DEVICE, Source.BENCH)}
     for change in sorted(found, key=lambda one: one.before):
         source, _ = change.sources[0]

@@ -54,15 +54,15 @@ _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise 
 
 @dataclass(frozen=True)
 class Weighed:
-    """Contains a variant of an effect (the effect at one value of its shape) after whitening and evaluation. Its columns no longer
-    contain samples. `gram` (G, p, p), the inner products of the whitened, projected columns with each other, and `score` (G, p),
-    their inner products with the whitened data, are computed at each of the G settings of the noise. A setting of the noise is a
-    combination of levels of flicker and random walk. Projection removes the part of a column that the nominal parameters absorb.
-    Amplitudes are in magnitudes: the amplitude of each column is divided by its prior scale `Column.magnitude`.
+    """Contains a variant of an effect (the effect at one value of its shape) after whitening and evaluation. The columns of the
+    variant no longer contain samples. `gram` (G, p, p), the inner products of the whitened, projected columns with each other, and
+    `score` (G, p), their inner products with the whitened data, are computed at each of the G settings of the noise. A setting of
+    the noise is a combination of levels of flicker and random walk. Projection removes the part of a column that the nominal
+    parameters absorb. Amplitudes are in magnitudes: the amplitude of each column is divided by its prior scale `Column.magnitude`.
 
     `trace`: energy of the columns after projection, at the first setting of the noise. `kept`: ratio of this energy to the energy
     before projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before
-    whitening and projection, each for an amplitude of one magnitude.
+    whitening and projection, each for an amplitude equal to `Column.magnitude`.
     """
 
     variant: Variant
@@ -75,7 +75,7 @@ class Weighed:
 
     @property
     def held(self) -> bool:
-        """Returns True if the variant has a single amplitude that physics fixes at 1, so that only the shape is free."""
+        """Returns True if the variant has a single amplitude, which is 1 for physical reasons. Only the shape is then free."""
         return len(self.variant.columns) == len(self.variant.fixed) == 1
 
     @cached_property
@@ -90,8 +90,8 @@ class Weighed:
 
     def if_possible(self, log_bayes: Array) -> Array:
         """Returns the log Bayes factor under the condition that the amplitudes are physically possible, shape (G,). `log_bayes`:
-        array of shape (G,), log Bayes factor without this condition. An effect whose best fit is physically impossible counts as no
-        better than no effect, however well it reproduces the data."""
+        array of shape (G,), log Bayes factor without this condition. An effect whose best fit is physically impossible is not
+        preferred to no effect, even if it reproduces the data well."""
         found = log_bayes + self.log_possible
         return np.minimum(found, self.log_possible) if self.excluded else found
 
@@ -205,8 +205,9 @@ class Weighing:
     samples of such a channel shows rounding, not noise. `outliers`: array of shape (N, K) in SI units, errors of single samples
     that are left out; None if there are none.
 
-    For each channel, `whole`: the columns (M, q) of the nominal parameters; `angles`: the columns (M, n) of `angle_columns` that act
-    on it; `known`: the columns (M, n) of effects that count as nominal parameters.
+    The following attributes have one item for each channel. `whole`: the columns (M, q) of the nominal parameters. `angles`: the
+    columns (M, n) of `angle_columns` that act on the channel. `known`: the columns (M, n) of effects that count as nominal
+    parameters.
     """
 
     def __init__(
@@ -316,10 +317,10 @@ class Weighing:
         self, taken: Sequence[Array] | None = None, change: Sequence[Array] | None = None
     ) -> list[Array]:
         """Returns, for each channel, the values (q,) of its nominal parameters in magnitudes, in the order of its columns in
-        `whole`. The values are fitted by least squares to all coefficients, weighted according to the most probable noise once it
-        is known. `taken`: for each channel, the coefficients (M,) that an effect explains; they are subtracted before the fit.
-        `change`: for each channel, the change (M, q) of the effect per magnitude of each nominal parameter, which is added to the
-        columns of the parameters."""
+        `whole`. The values are fitted by least squares to all coefficients. If the noise has already been measured, the fit is
+        weighted according to the most probable setting of the noise. `taken`: for each channel, the coefficients (M,) that an
+        effect explains; they are subtracted before the fit. `change`: for each channel, the change (M, q) of the effect per
+        magnitude of each nominal parameter, which is added to the columns of the parameters."""
         found = []
         for index, whole in enumerate(self.whole):
             nominal = whole if change is None else whole + change[index]
@@ -338,8 +339,8 @@ class Weighing:
         return self.weights[channel][gyro if self.observed.channels[channel].kind == "gyro" else accel]
 
     def without_walks(self) -> Weighing:
-        """Returns a copy with the settings of the noise that contain no random walk. These settings alone determine the evidence of a
-        hypothesis without a random walk. There are few of them, so that it is computed faster."""
+        """Returns a copy with the settings of the noise that contain no random walk. These settings alone determine the evidence of
+        a hypothesis without a random walk. There are few such settings, so this evidence is computed faster."""
         kept = {kind: [k for k, one in enumerate(own) if one.walk == 0] for kind, own in self.settings.items()}
         kinds = [channel.kind for channel in self.observed.channels]
         return self._changed(

@@ -6,8 +6,8 @@ declarations, M differs from the identity only by scale factors and misalignment
 possibly multiplied by a known factor between two units. A declaration counts as wrong only if the corrected recording follows the
 plan. Elements of M along directions in which the plan does not vary the stimulus remain undetermined.
 
-A recorded motion is often a motion to and fro, whose mean over a segment is nearly zero. Segments with a recorded motion are therefore
-divided into blocks, and the means of the blocks are used in place of the mean of the segment.
+A recorded motion often goes back and forth, so its mean over a segment is nearly zero. Segments with a recorded motion are
+therefore divided into blocks, and the means of the blocks are used instead of the mean of the segment.
 """
 
 from __future__ import annotations
@@ -68,9 +68,9 @@ class WrongDeclaration:
     """Describes a wrong declaration in the bench file that explains the gap.
 
     `effect`: name of the effect in the catalogue. `parameters`: parameters of the effect with which a simulation reproduces the
-    mistake. `message`: what is wrong, for a finding. `where`: the channels or axes, for the hint that tells the user what to
-    correct. `alternative`: another declaration that may be wrong instead, because the recording cannot distinguish the two; empty
-    if there is none.
+    mistake. `message`: description of the mistake, for a finding. `where`: the channels or axes, for the hint that tells the user
+    what to correct. `alternative`: another declaration that may be wrong instead, because the recording cannot distinguish the two;
+    empty if there is none.
     """
 
     effect: str
@@ -207,7 +207,7 @@ def _stuck(observed: Observed, index: int) -> bool:
 def _reading(gain: Array, seen: Array, own: int, kind: str) -> _Reading | None:
     """Returns the axis, sign and factor of a channel that agree with its measured gain (r,) along the directions (r, 3) of the
     plan; None if no axis agrees. The declared axis, sign and factor are kept if they fit within the usual scale factors and
-    misalignments. `seen`: these directions. `own`: declared axis of the channel. `kind`: gyro or accel."""
+    misalignments. `seen`: array of shape (r, 3), the directions. `own`: declared axis of the channel. `kind`: gyro or accel."""
     if float(np.linalg.norm(gain - seen[:, own])) <= MISFIT * float(np.linalg.norm(seen[:, own])):
         known = _factor(gain, seen[:, own], kind)
         if known == 1.0 or known is None:
@@ -242,8 +242,8 @@ def _factor(gain: Array, direction: Array, kind: str) -> float | None:
 
 
 def _sense_is_reversed(observed: Observed, planned: _Fit, opposite: _Fit) -> bool:
-    """Returns True if the opposite sense of rotation explains the recording: it fits clearly better, or it fits equally well while
-    the planned sense would require all gyros to be reversed."""
+    """Returns True if the opposite sense of rotation explains the recording. There are two cases: the opposite sense fits clearly
+    better, or it fits equally well but the planned sense would require that all gyros are reversed."""
     told = [index for index in observed.of_kind("gyro") if opposite.readings[index] is not None]
     straight = [one is None or one.sign > 0 for one in opposite.readings]
     if not told or not opposite.sound or not all(straight[index] for index in told):
@@ -257,9 +257,9 @@ def _sense_is_reversed(observed: Observed, planned: _Fit, opposite: _Fit) -> boo
 def _of_channels(
     observed: Observed, readings: Sequence[_Reading | None]
 ) -> tuple[list[WrongDeclaration], list[int], list[float]]:
-    """Returns three values: the wrong declarations of channels; for every channel, the index of the channel that shows its axis;
-    and, for every channel, the signed factor of that other channel. If two channels show the same axis, no declaration counts as
-    wrong."""
+    """Returns three values: the wrong declarations of channels; for every channel, the index of the channel that actually measures
+    its declared axis; and, for every channel, the signed factor of this measuring channel. If two channels show the same axis, no
+    declaration counts as wrong."""
     sources, factors = list(range(len(readings))), [1.0] * len(readings)
     shown: dict[str, dict[int, _Reading]] = {}
     for kind in ("gyro", "accel"):
@@ -281,8 +281,8 @@ def _of_channels(
 
 def _together(observed: Observed, shown: Mapping[str, Mapping[int, _Reading]]) -> list[WrongDeclaration]:
     """Returns the wrong declaration that explains both triads if both show the same wrong axes: a mounting in another orientation,
-    or a left-handed system. Otherwise, the result is empty. `shown`: for gyros and for accelerometers, what the channel of each
-    declared axis shows."""
+    or a left-handed system. Otherwise, the result is empty. `shown`: for gyros and for accelerometers, the reading of the channel
+    of each declared axis."""
     matrices = []
     for own in shown.values():
         if len(own) < 3:

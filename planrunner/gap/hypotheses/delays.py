@@ -1,13 +1,13 @@
 """Finds delays between the outputs of a sensor and the recorded channels that show its motion.
 
-The outputs y of the gyros are compared with the recorded rates ω of an earlier time, y(t) = b + M·ω(t − d), with a free bias b and a
-free matrix M. The delay d of a segment is the one with the smallest sum of squared residuals. A delay that is the same in all segments
-has its cause in the clocks or filters of the two devices. A delay that changes from one segment to the next shows lost samples, or
-clocks that run at different rates.
+The outputs y of the gyros are compared with the recorded rates ω of an earlier time, y(t) = b + M·ω(t − d), with a free bias b and
+a free matrix M. The delay d of a segment is the delay with the smallest sum of squared residuals. A delay that is the same in all
+segments has its cause in the clocks or filters of the two devices. A delay that changes from one segment to the next shows lost
+samples, or clocks that run at different rates.
 
-A small delay is left as it is: the diagnosis removes its response from the samples (decision 83). That response is proportional to
-the angular acceleration only if the delay is much shorter than the changes of the motion. Therefore, large delays are corrected before
-the diagnosis.
+A small delay is not corrected here, because the diagnosis removes the response to this delay from the samples (decision 83). The
+response is proportional to the angular acceleration only if the delay is much shorter than the changes of the motion. Therefore,
+large delays are corrected before the diagnosis.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def in_step(
     """Corrects large delays between the outputs and the recorded motion. Returns the corrected recording, and the delay as a wrong
     declaration. The recording is unchanged if there is no large delay.
 
-    `read`: reads the recording again, with outputs that are shifted by the given delays [s]; its argument has the labels of segments as
-    keys. `period`: sampling period of the recording, s.
+    `read`: function that reads the recording again and shifts the outputs by given delays. Its argument maps the label of each
+    segment to the delay [s]. `period`: sampling period of the recording, s.
     """
     least = max(LATE, PERIODS * period)
     if not observed.moved.any():
@@ -98,9 +98,10 @@ def _carried(observed: Observed, known: Mapping[str, float]) -> dict[str, float]
 
 
 def _declared(observed: Observed, whole: Mapping[str, Delay], step: float) -> WrongDeclaration:
-    """Describes delays as a wrong declaration: as lost samples if the outputs are earlier from one segment on, and as a delay
-    otherwise. The outputs are shifted by whole samples, so the standard uncertainty is at least that of a rounding to whole
-    samples. `whole`: the delay of each segment, by label. `step`: longest interval between samples (or bins), s."""
+    """Describes delays as a wrong declaration. If the outputs become earlier at the start of a segment, the declaration describes
+    lost samples; otherwise, it describes a delay. The outputs are shifted by whole samples, so the standard uncertainty is at least
+    that of a rounding to whole samples. `whole`: the delay of each segment, by label. `step`: longest interval between samples (or
+    bins), s."""
     labels, values = list(whole), np.array([one.seconds for one in whole.values()])
     u = float(np.hypot(max(one.uncertainty for one in whole.values()), step / np.sqrt(12)))
     if np.ptp(values) <= max(LATE, SURE * u):
@@ -127,8 +128,7 @@ def _declared(observed: Observed, whole: Mapping[str, Delay], step: float) -> Wr
 
 def delays(observed: Observed, least: float) -> dict[str, Delay]:
     """Measures the delays of the segments with a recorded motion. Returns them by label; segments whose motion does not show the
-    delay are left out. Segments that follow each other get the same delay unless the delay clearly changes, by more than `least`
-    [s]."""
+    delay are left out. Successive segments get the same delay, unless the delay changes clearly and by more than `least` [s]."""
     each: dict[str, Delay] = {}
     for label, rows, moved in zip(observed.labels, observed.segments(), observed.moved, strict=True):
         own = _of_segment(observed, rows) if moved else None
@@ -138,9 +138,10 @@ def delays(observed: Observed, least: float) -> dict[str, Delay]:
 
 
 def _in_groups(each: Mapping[str, Delay], least: float) -> dict[str, Delay]:
-    """Divides successive segments into groups between which the delay changes clearly, by more than `least` [s]. Returns, for each
-    segment, the median of the delays in its group. If the delays of a group differ by more than `least` and more than their
-    uncertainties explain, as in few segments or with clocks that run at different rates, each segment keeps its own delay."""
+    """Divides successive segments into groups. Between the groups, the delay changes clearly and by more than `least` [s]. Returns,
+    for each segment, the median of the delays in its group. The delays of a group may differ by more than `least` and by more than
+    their uncertainties explain, for example if there are few segments, or if the clocks run at different rates. Each segment of
+    such a group keeps its own delay."""
     labels, values = list(each), np.array([one.seconds for one in each.values()])
     steps = np.abs(np.diff(values))
     typical = 1.4826 * float(np.median(steps)) / np.sqrt(2) if len(steps) else 0.0

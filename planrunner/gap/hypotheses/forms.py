@@ -194,9 +194,9 @@ def _together(weighing: Weighing, effect: Shaped, best: Weighed, values: Sequenc
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed]) -> tuple[tuple[Weighed, float], ...]:
-    """Evaluates a strong effect whose shape determines it completely. The amplitude is not fitted; it has the value 1, which
-    physics fixes. For example, the time constant of a lag determines both the delay and the attenuation. The result is empty if the
-    data require the opposite sign, or if the effect is too weak for its amplitude to mean anything."""
+    """Evaluates a strong effect whose shape determines it completely. The amplitude is not fitted; it is 1 for physical reasons.
+    For example, the time constant of a lag determines both the delay and the attenuation. The result is empty if the data require
+    the opposite sign, or if the effect is so weak that the data do not determine its amplitude."""
     best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
     forms = whole_forms(weighing, effect) if best.amplitudes[0][0] > 0 else []
     if len(forms) < 3 or any(form.trace <= 0 for form, _ in forms):
@@ -292,9 +292,9 @@ class _Found:
 
 
 def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column]) -> _Found:
-    """Searches the most probable shape and fits the nominal parameters. The shape of an effect on the output is searched together with
-    the change of the nominal parameters. If the search alternates between shapes or does not converge, the most probable of the
-    visited shapes is used, with the nominal parameters that were fitted for it."""
+    """Searches for the most probable shape and fits the nominal parameters. For an effect on the output, the shape and the nominal
+    parameters are varied together. If the search alternates between shapes or does not converge, the most probable of the visited
+    shapes is used, with the nominal parameters that were fitted for it."""
     best, values = (near, None) if near is not None else _start(weighing, effect)
     shape, last, acting = float(best.variant.shape or 0.0), np.nan, on_output(effect)
     visited: list[tuple[float, _Found]] = []
@@ -315,9 +315,9 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
 
 def _start(weighing: Weighing, effect: Shaped) -> tuple[Weighed, Sequence[Array] | None]:
     """Returns the form from which a search starts, and the nominal parameters (q,) of each channel for which this form was
-    computed. None stands for the parameters that are fitted without any effect. For an effect on the output, the search also tries
-    the parameters of the declared sensor, and uses whichever parameters explain more. The reason is that the fitted scale factors
-    are far too small if the output is limited in most readings."""
+    computed. None means the parameters that are fitted without any effect. For an effect on the output, the search also tries the
+    parameters of the declared sensor, and uses whichever parameters explain more. The reason is that the fitted scale factors are
+    far too small if the output is limited in most readings."""
     starts: list[Sequence[Array] | None] = [None]
     if on_output(effect) is not None:
         starts.append([np.zeros(whole.shape[1]) for whole in weighing.whole])
@@ -418,8 +418,8 @@ def _most_probable(weighing: Weighing, effect: Shaped, seen: Observed, near: flo
     """Returns the most probable shape and the standard deviation of its logarithm. The search starts on the grid and continues
     beyond it if the best shape is at an edge. Then the search adds shapes between the best shape and its neighbours, until the
     neighbours are within one standard deviation. These shapes are near the peak of the parabola through the three best shapes. If
-    this does not narrow the search enough, they are equally spaced. For a shape that the data barely constrain, the standard
-    deviation is limited by the width of the grid. `near`: a shape near which the search starts, NaN if none is known."""
+    this does not narrow the search enough, the added shapes are equally spaced. For a shape that the data barely constrain, the
+    standard deviation is limited by the width of the grid. `near`: a shape near which the search starts, NaN if none is known."""
     known: dict[float, float] = {}
     width = np.inf
     new = np.log(effect.grid(seen))
@@ -473,8 +473,8 @@ class OperatingPoint:
     """Contains the nominal parameters at which an effect on the output is linearised, and its change with these parameters. Each
     attribute has one array per channel. `values`: shape (q,), the nominal parameters θ₀ in units of their magnitudes. `nominal`:
     shape (M, q), the columns of the nominal parameters. `change`: shape (M, q), the change of the effect per magnitude of each
-    parameter (E in the description of the module, multiplied by the amplitude of the effect); zero if the effect does not act on
-    the channel."""
+    parameter (E in the module docstring, multiplied by the amplitude of the effect); zero if the effect does not act on the
+    channel."""
 
     values: tuple[Array, ...]
     nominal: tuple[Array, ...] = field(repr=False)
@@ -522,8 +522,8 @@ def settled(
     weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], amplitude: float = 1.0
 ) -> list[Array]:
     """Fits the nominal parameters together with an effect on the output. Returns the values (q,) of the parameters of each channel,
-    in magnitudes. `shape`, `amplitude`: the form of the effect and its amplitude. `values`: values of the nominal parameters at
-    which the fit starts.
+    in magnitudes. `shape`, `amplitude`: shape and amplitude of the effect. `values`: values of the nominal parameters at which the
+    fit starts.
 
     Repeated fits to the data minus the effect would converge slowly: in segments with a limited output, these data follow the scale
     factor of the preceding fit. Therefore, the fit includes the change of the effect with the parameters (Gauss–Newton). The first

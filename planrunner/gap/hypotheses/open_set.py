@@ -49,8 +49,7 @@ class Kinds:
     factor of the competitor in each channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns
     outside the coefficients. No effect of the catalogue acts outside the coefficients, so these patterns are independent of every
     effect. `lines`: the strongest tone of each channel that shows a tone. `event`: array of shape (G,), log Bayes factor of a
-    single event of a few seconds, such as the noise of real sensors sometimes contains.
-    """
+    single event of a few seconds. The noise of real sensors sometimes contains such an event."""
 
     log_bayes: dict[Pattern, Array]
     several: Array

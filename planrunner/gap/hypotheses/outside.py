@@ -1,13 +1,13 @@
 """Evaluates the patterns outside the basis of the coefficients: tones and bursts. They appear in the remainder, that is, in the
 samples minus the components that the coefficients represent.
 
-A tone keeps its frequency and its phase over the whole run. It is searched in the periodogram of the remainder.
+A tone keeps its frequency and its phase over the whole run. Tones are found in the periodogram of the remainder.
 
 A burst is a window of a few seconds with a shifted bias or with larger noise, at a random time in a run. Every window contains a
 burst with the same small probability. The windows are parts of the remainder, so the part of a burst that the coefficients absorb
 is missing. A deviation that appears in most windows of segments of equal length is slow noise, not a burst. The noise of real
-sensors contains rare single events. The evidence of the window with the clearest burst is therefore also stated alone: it is the
-evidence of an event that does not recur.
+sensors contains rare single events. Therefore, the evidence of the window with the clearest burst is also stated separately. This
+is the evidence of an event that does not recur.
 
 In array shapes, N is the number of all samples, K is the number of channels, F is the number of frequencies, W is the number of
 windows, and E is the number of energies of a burst.
@@ -60,7 +60,7 @@ class Outside:
     """Contains the evidence for the patterns outside the basis of the coefficients.
 
     `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
-    `causes`: those of these tones that count as separate causes. `burst`: log Bayes factor of a burst in a single window.
+    `causes`: the tones in `lines` that count as separate causes. `burst`: log Bayes factor of a burst in a single window.
     """
 
     log_bayes: dict[Pattern, Array]
@@ -267,9 +267,9 @@ _DEVIATION = 0.6745  # median absolute deviation of a normal variable
 class _Windows:
     """A set of windows with the same number of samples.
 
-    `starts`: array of shape (W,), first sample of each window. `lasting`: array of shape (W,), number of samples of the
-    segment to which each window belongs. `kept`: array of shape (W,), fraction of the
-    energy of a constant bias in the window that the coefficients do not absorb.
+    `starts`: array of shape (W,), first sample of each window. `lasting`: array of shape (W,), number of samples of the segment to
+    which each window belongs. `kept`: array of shape (W,), fraction of the energy of a constant bias in the window that the
+    coefficients do not absorb.
     """
 
     starts: NDArray[np.int64]
@@ -284,8 +284,8 @@ class _Windows:
 
 
 def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, Array]:
-    """Computes two log Bayes factors in the channels of each scope, each of shape (scopes,): of bursts, and of a burst in a single
-    window. Both are −∞ if the recording is too short for windows."""
+    """Computes two log Bayes factors for the channels of each scope, each of shape (scopes,). The first is for bursts in any number
+    of windows, the second for a burst in a single window. Both are −∞ if the recording is too short for windows."""
     observed, found = weighing.observed, []
     remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder)
     remainder /= (weighing.white * np.sqrt(weighing.noise.level))[observed.owner]
@@ -348,10 +348,10 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 def _evidence(
     both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
 ) -> Array:
-    """Returns two log Bayes factors for each scope, shape (scopes, 2): of bursts, and of a burst in a single window.
-    All windows have the same size. `both`: cumulative sums of the samples in units of the noise, and cumulative sums of the squares
-    of these samples. `inefficiency`: array of shape (K,), factor by which coloured noise reduces the degrees of freedom of a sum of
-    squares."""
+    """Returns two log Bayes factors for each scope, shape (scopes, 2): the first for bursts in any number of windows, the second
+    for a burst in a single window. All windows have the same size. `both`: cumulative sums of the samples in units of the noise,
+    and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which coloured noise reduces
+    the degrees of freedom of a sum of squares."""
     mean, rest = _normalised(both, windows, size)
     offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
     offset[~windows.clear] = 0.0
@@ -398,9 +398,9 @@ def _larger(energy: Array, degrees: float, added: Array) -> Array:
 
 
 def _here_and_there(windows: Array) -> Array:
-    """Returns two log Bayes factors relative to no bursts, shape (2,): of bursts, and of a burst in a single window. With bursts,
-    every window has the same small probability of containing one. `windows`: array of shape (W, E), log Bayes factor of a burst in
-    each window at each energy."""
+    """Returns two log Bayes factors relative to no bursts, shape (2,). The first is for bursts: every window contains a burst with
+    the same small probability. The second is for a burst in a single window. `windows`: array of shape (W, E), log Bayes factor of
+    a burst in each window at each energy."""
     each = []
     for chance in CHANCES:
         gains = np.logaddexp(0.0, np.log(chance / (1 - chance)) + windows)
@@ -409,5 +409,5 @@ def _here_and_there(windows: Array) -> Array:
 
 
 def whole_and_largest(gains: Array) -> Array:
-    """Returns the sum of the gains (W, …) of events and the largest of them, shape (2, …). The gains are not negative."""
+    """Returns the sum of the gains (W, …) of events and the largest gain, shape (2, …). The gains are not negative."""
     return np.array([gains.sum(0), gains.max(0, initial=0.0)])

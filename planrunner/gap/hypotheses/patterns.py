@@ -2,7 +2,7 @@
 refer to the coefficients that describe each segment (`evidence.spectrum`). Each pattern is a design, that is, a set of columns.
 
 The patterns are offsets, changes of the scale factor, changes within segments (transients), and waveforms per turn or per rocking
-period. Patterns differ from segment to segment, or change smoothly with rate, gravity, temperature or time.
+period. Some patterns differ at random from segment to segment; others change smoothly with rate, gravity, temperature or time.
 
 In array shapes, M is the number of coefficients of a channel, and S is the number of segments.
 """

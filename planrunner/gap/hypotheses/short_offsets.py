@@ -1,14 +1,16 @@
 """Describes a bias that differs for a few seconds at a time, at random times in a run.
 
 An offset of a few seconds changes the mean of its segment and the slow changes within it. The flexible patterns of these
-coefficients need one amplitude for each coefficient of the run. A few short offsets need only one amplitude each, so the same data
-speak more clearly for them. The part of such an offset that lies outside the coefficients is evaluated with the bursts
+coefficients need one amplitude for each coefficient of the run. A few short offsets need only one amplitude each, so the evidence
+for them from the same data is stronger. The part of such an offset that lies outside the coefficients is evaluated with the bursts
 (`hypotheses.outside`).
 
 Every window of the run contains an offset with the same small probability. The windows are found one at a time: the best window is
-chosen, its offset is fitted, and the next window is evaluated on what remains. The evidence is that of the chosen windows alone, so
-it is a lower limit of the evidence of all possible choices. As for bursts, the evidence of a single window is also stated alone. In
-array shapes, M is the number of coefficients of a channel, W is the number of windows, and q is the number of basis vectors.
+chosen, its offset is fitted, and the next window is evaluated on the remaining data. The result is the evidence of the chosen
+windows. It is therefore a lower limit of the evidence of all possible choices. As for bursts, the evidence of a single window is
+also stated separately.
+
+In array shapes, M is the number of coefficients of a channel, W is the number of windows, and q is the number of basis vectors.
 """
 
 from __future__ import annotations
@@ -57,8 +59,8 @@ class ShortOffsets:
         self._known: dict[tuple[Left, ...], Array] = {}
 
     def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> tuple[Array, Array]:
-        """Returns two log Bayes factors in the channels of each scope, each of shape (scopes,): of short offsets, and of one short
-        offset. Both are −∞ if the run has no windows."""
+        """Returns two log Bayes factors for the channels of each scope, each of shape (scopes,). The first is for any number of
+        short offsets, the second for one short offset. Both are −∞ if the run has no windows."""
         found = []
         for scope in scopes:
             key = tuple(channels[index] for index in scope)
@@ -97,8 +99,9 @@ def _windows(weighing: Weighing, length: float) -> _Windows | None:
 
 
 def _evidence(windows: _Windows, channels: Sequence[Left]) -> Array:
-    """Returns two log Bayes factors of offsets in the same windows of all `channels`, shape (2,): in all windows, and in a single
-    window. Several windows of one segment are no single event: together, they may be an offset of the whole segment."""
+    """Returns two log Bayes factors of offsets in the same windows of all `channels`, shape (2,): the first for all windows, the
+    second for a single window. Several windows of one segment do not count as a single event, because together they may be an
+    offset of the whole segment."""
     rows = np.arange(len(windows.columns))
     parts = [_Channel.of(left, *left.whitened(windows.columns, rows)) for left in channels]
     whole = np.sum([part.size for part in parts], axis=0)
