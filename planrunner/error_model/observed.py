@@ -244,6 +244,27 @@ class Observed:
         made.__dict__.update({name: self.__dict__[name] for name in _OF_MOTION if name in self.__dict__})
         return made
 
+    def at_samples(self, kept: NDArray[np.bool_]) -> Observed:
+        """Returns a copy that contains only some samples of each segment. `kept`: array of shape (N,), True for these samples. Each
+        segment keeps at least one sample, and a segment with an entry in `courses` keeps all its samples."""
+        made = replace(
+            self,
+            bounds=np.concatenate(([0], np.cumsum(np.add.reduceat(kept.astype(np.int64), self.bounds[:-1])))),
+            values=self.values[kept],
+            fitted=None if self.fitted is None else self.fitted[kept],
+            felt=None if self.felt is None else (self.felt[0][kept], self.felt[1][kept]),
+            time=self.time[kept],
+            angle=self.angle[kept],
+            rate=self.rate[kept],
+            acceleration=self.acceleration[kept],
+            temperature=self.temperature[kept],
+            temperature_rate=self.temperature_rate[kept],
+            excess_voltage=None if self.excess_voltage is None else self.excess_voltage[kept],
+            excess_pressure=None if self.excess_pressure is None else self.excess_pressure[kept],
+        )
+        made.__dict__.update({name: self.__dict__[name][kept] for name in _OF_MOTION if name in self.__dict__})
+        return made
+
     def segments(self) -> list[slice]:
         """Returns one slice per segment, which selects the samples of the segment."""
         return self._slices

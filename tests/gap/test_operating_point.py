@@ -9,11 +9,14 @@ import pytest
 from scipy.stats import binom
 
 from planrunner.error_model.effects.gyro_output import GyroDeadZone, GyroSaturation
+from planrunner.error_model.effects.interface import Variant
+from planrunner.error_model.effects.warming import GyroWarmUp
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import closure, measured_noise, predictions, whole_choices
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import _evidence, operating_point, settled, whole_forms
+from planrunner.plan.schedule import Rest
 from tests.gap.test_closure import holds
 from tests.gap.turntable import DEG, record
 
@@ -153,3 +156,39 @@ def test_a_limit_at_zero_explains_nothing() -> None:
     assert _evidence(weighing, form) == weighing.evidence(np.zeros(len(weighing.base)))
     (effective,) = weighing.weigh([GyroSaturation().at(weighing.seen(), 60.0)])
     assert _evidence(weighing, effective) < _evidence(weighing, form)
+
+
+def test_segments_with_a_constant_output_are_evaluated_with_one_sample() -> None:
+    """The output is constant at rest, and changes while the table turns or rocks. If another effect changes at rest, such as a
+    warm-up, all samples are kept."""
+    weighing = Weighing(_limited(5, 60 * DEG)[0])
+    full, effect = weighing.observed, GyroSaturation()
+    assert weighing.condensed(GyroWarmUp().at(full, 1e4).columns)[0] is weighing
+
+    short, _ = weighing.condensed()
+    still = np.array([isinstance(motion, Rest) for motion in full.motions])
+    np.testing.assert_array_equal(np.diff(short.observed.bounds), np.where(still, 1, np.diff(full.bounds)))
+    values = [own * 1.01 for own in weighing.nominal_values()]
+    for value in (0.02, 30.0, 60.0):
+        (exact,), (found,) = (one.weigh([effect.at(one.seen(values), value)]) for one in (weighing, short))
+        for before, after in zip(exact.raw, found.raw, strict=True):
+            np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9 * np.abs(before).max())
+
+
+def test_the_search_for_a_limit_does_not_use_all_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    weighing = Weighing(_limited(5, 60 * DEG)[0])
+    sizes = []
+
+    def counting(self: GyroSaturation, observed: Observed, value: float) -> Variant:
+        sizes.append(len(observed.time))
+        return at(self, observed, value)
+
+    at = GyroSaturation.at
+    monkeypatch.setattr(GyroSaturation, "at", counting)
+    assert whole_forms(weighing, GyroSaturation())
+    turning = sum(
+        part.stop - part.start
+        for part, motion in zip(weighing.observed.segments(), weighing.observed.motions, strict=True)
+        if not isinstance(motion, Rest)
+    )
+    assert max(sizes) <= turning + len(weighing.observed)

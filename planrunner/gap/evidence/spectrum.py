@@ -17,7 +17,7 @@ frequency bands, and P is the number of columns.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby, pairwise
 
@@ -104,6 +104,17 @@ class Spectrum:
             for index in np.flatnonzero(acting).tolist():
                 np.matmul(self.bases[index].vectors.T, columns[parts[index]], out=coefficients[self.rows[index]])
         return coefficients if roots is None else coefficients * roots[self.segment, None]
+
+    def of_constant(self, constant: NDArray[np.bool_]) -> Spectrum:
+        """Returns a copy that projects columns with a single sample for each constant segment, which stands for all samples of the
+        segment. `constant`: array of shape (S,), True for segments in which all columns are constant. The copy is only for `project`:
+        its `remainder` and `replaced` still contain all samples."""
+        alone: dict[int, SpectralBasis] = {}
+        for basis, one in zip(self.bases, constant, strict=True):
+            if one and id(basis) not in alone:
+                alone[id(basis)] = replace(basis, vectors=basis.vectors.sum(axis=0, keepdims=True))
+        bases = [alone[id(own)] if one else own for own, one in zip(self.bases, constant, strict=True)]
+        return replace(self, bases=tuple(bases))
 
     def outside(self, observed: Observed, columns: Array) -> Array:
         """Removes the components in the basis of each segment from columns (N, P), in the same way as from the samples."""

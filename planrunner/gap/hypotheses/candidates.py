@@ -49,6 +49,7 @@ FULL = NOMINAL_TERMS
 EXCLUDED = -15.0  # log probability below which amplitudes count as physically impossible: 5 σ beyond a limit
 _QUANTILES = 256  # of the noise of a sample
 _AT_ONCE = 1 << 23  # values of whitened columns at all settings of the noise that are in memory at a time: 64 MB
+_ROUNDING = 1e-13  # of a signal: smaller changes are rounding errors
 _UNLIKELY = 1e-3  # share of the probability below which a setting of the noise is left out
 
 
@@ -409,6 +410,31 @@ class Weighing:
         )
         return made._changed(observed=made.seen())
 
+    def condensed(self, columns: Sequence[Column] = ()) -> tuple[Weighing, list[Column]]:
+        """Returns a copy for effects on the output, and `columns` for this copy. Such an effect is a function of the nominal output
+        alone. In a segment in which the nominal output and all columns are constant, as at rest, the copy therefore contains only one
+        sample, which stands for all samples. The coefficients of effects are the same as before, except for rounding."""
+        of_channels = [part for column in (*self.nominal_columns, *columns) for part in column.parts.values()]
+        signals = {(part.__array_interface__["data"][0], part.strides): part for part in of_channels}
+        constant = np.array([course is None for course in self.observed.courses or (None,) * len(self.observed)])
+        for signal in (*self._reference.T, *signals.values()):
+            constant &= _constant(signal, self.observed.bounds)
+        if not constant.any():
+            return self, list(columns)
+        kept = ~constant[self.observed.owner]
+        kept[self.observed.bounds[:-1]] = True
+
+        def short(column: Column) -> Column:
+            return replace(column, parts={channel: part[kept] for channel, part in column.parts.items()})
+
+        made = self._changed(
+            observed=self.observed.at_samples(kept),
+            spectrum=self.spectrum.of_constant(constant),
+            nominal_columns=[short(column) for column in self.nominal_columns],
+            _reference=self._reference[kept],
+        )
+        return made, [short(column) for column in columns]
+
     def moving(
         self, change: Sequence[Array], values: Sequence[Array], beside: Sequence[Array] | None = None
     ) -> Weighing:
@@ -618,6 +644,13 @@ class Weighing:
         trace = float(np.trace(gram[0]))
         blocks = tuple(block[:, part] for block in first), tuple(block[:, part] for block in raw)
         return Weighed(variant, gram, score, trace, trace / max(before, 1e-300), *blocks)
+
+
+def _constant(signal: Array, bounds: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Returns a mask (S,) of the segments in which a signal (N,) is constant, except for rounding. `bounds`: array of shape (S + 1,),
+    index of the first sample of each segment, followed by N."""
+    smallest, largest = (of.reduceat(signal, bounds[:-1]) for of in (np.minimum, np.maximum))
+    return np.asarray(largest - smallest <= _ROUNDING * np.maximum(np.abs(smallest), np.abs(largest)))
 
 
 def joined(forms: Sequence[Weighed]) -> Variant:

@@ -97,14 +97,15 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
     log_bayes = log_mean_exp(np.array([item.log_bayes for item in usable]), 0)
     settled, whole = False, tuple[tuple[Weighed, float], ...]()
     if isinstance(effect, Shaped) and float(log_bayes.max()) > _REFINE and len(usable) > 2:
-        usable, log_bayes = _refined(weighing, effect, usable, weighing.observed)
+        short = weighing if on_output(effect) is None else weighing.condensed()[0]
+        usable, log_bayes = _refined(short, effect, usable, short.observed)
         if float(log_bayes.max()) > BENT and is_whole(usable[0].variant.columns):
-            whole = _held(weighing, effect, usable)
+            whole = _held(short, effect, usable)
             if not whole:
                 before = usable
-                usable, log_bayes = _resettled(weighing, effect, usable, log_bayes)
+                usable, log_bayes = _resettled(short, effect, usable, log_bayes)
                 settled = usable is not before
-                whole = _held(weighing, effect, usable) if settled else ()
+                whole = _held(short, effect, usable) if settled else ()
             if whole:
                 usable, settled = [form for form, _ in whole], True
                 log_bayes = _averaged(usable)
@@ -269,9 +270,10 @@ def whole_forms(
     probabilities. If the data require the opposite sign, no form explains the data better than no effect, and the result is empty.
     `near`: a form from which the search starts, None if no form is known. `columns`: columns, with samples, of other effects whose
     amplitudes are not known exactly."""
-    found = _search(weighing.without_walks(), effect, near, columns)
+    short, columns = (weighing, columns) if on_output(effect) is None else weighing.condensed(columns)
+    found = _search(short.without_walks(), effect, near, columns)
     around = found.shape * np.exp(found.sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
-    variants, raw = weighing.projected([replace(effect.at(found.seen, float(value)), fixed=(0,))] for value in around)
+    variants, raw = short.projected([replace(effect.at(found.seen, float(value)), fixed=(0,))] for value in around)
     forms = weighing.weigh(variants, raw)
     if max(_evidence(weighing, form) for form in forms) < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
         return []
@@ -384,17 +386,18 @@ def on_others(
 
     `form`: a form of the effect from which the search starts. `columns`: P columns of the other effects, with samples.
     `amplitudes`: array of shape (P,), amplitudes of these columns, in units of `Column.magnitude`."""
-    beneath = weighing.with_known(columns, amplitudes)
-    forms = whole_forms(beneath, effect, form, columns)
+    short, of_others = weighing.condensed(columns)
+    beneath = short.with_known(of_others, amplitudes)
+    forms = whole_forms(beneath, effect, form, of_others)
     if not forms:
         return None
     best, _ = max(forms, key=lambda one: one[1])
     shape, taken = float(best.variant.shape or 0.0), [raw[:, 0] for raw in best.raw]
     point = operating_point(beneath, effect, shape, taken)
-    others = passed_on(weighing, effect, shape, beneath.seen(point.values), columns)
+    others = passed_on(short, effect, shape, beneath.seen(point.values), of_others)
     shown = [
         (without - passed) @ amplitudes
-        for without, passed in zip(coefficients_of(weighing.observed, weighing.spectrum, columns), others, strict=True)
+        for without, passed in zip(coefficients_of(short.observed, short.spectrum, of_others), others, strict=True)
     ]
     made = []
     for one, share in forms:
