@@ -70,7 +70,7 @@ _SIGMA = 1e-3  # deg/s or m/s², by default
 
 @dataclass(frozen=True, slots=True)
 class EffectParameter:
-    """A parameter of an effect. `natural`: default value, in `unit`. `least`: which values are permitted. 'above zero' permits only
+    """A parameter of an effect. `natural`: default value, in `unit`. `least`: the permitted values. 'above zero' permits only
     positive values, for example of a time constant or a frequency. 'zero' also permits zero, for example for a duration or a
     standard deviation. 'any' permits both signs, for example of an amplitude."""
 
@@ -102,9 +102,9 @@ class Addition:
 
 
 def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mark) -> Addition:
-    """Makes an `Addition` from the name of an effect and the parameters that are stated for it. `stated`: maps each parameter to its
-    value with unit; the empty name stands for the only parameter or, if there are several, for all amplitudes. Parameters that are not
-    stated have their default value. If an amplitude is stated under its own name, all amplitudes that are not stated are zero.
+    """Makes an `Addition` from the name of an effect and the parameters that are stated for it. `stated`: maps each parameter to
+    its value with unit; the empty name means the only parameter or, if there are several, all amplitudes. A parameter that is not
+    stated has its default value. If an amplitude is stated under its own name, all amplitudes that are not stated are zero.
 
     `observed`: any recording or schedule of the plan. `observed` is necessary because the parameters of an effect depend on the
     plan. Raises `InputError` for an unknown parameter or value, and for an effect that cannot act on this sensor under this plan.
@@ -137,8 +137,8 @@ def addition(name: str, stated: Mapping[str, str], observed: Observed, mark: Mar
 def _optional(
     effect: Effect, known: Mapping[str, EffectParameter], observed: Observed, stated: Mapping[str, str]
 ) -> list[EffectParameter]:
-    """Returns the parameters that have no default value, although a diagnosis may find them. These parameters change the simulation only
-    if they are stated."""
+    """Returns the optional parameters of an effect. A diagnosis may estimate these parameters, but they have no default value: they
+    change the simulation only if they are stated."""
     if isinstance(effect, OutsideCoefficients) and effect.outside in BY_AXIS:
         (whole,) = known.values() or (None,)
         axes = sorted({observed.channels[index].axis for index in observed.of_kind(triad_of(effect))})
@@ -224,7 +224,7 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
 
 
 def stuck(name: str, time: Array, values: Array, additions: Sequence[Addition], before: float | None = None) -> Array:
-    """Applies to the readings of an output the effects that make samples stick. A stuck sample repeats an earlier reading. Returns
+    """Applies the effects that make samples stick to the readings of an output. A stuck sample repeats an earlier reading. Returns
     the changed readings, shape (n,). `time`: array of shape (n,), s since power-on. `before`: the reading before the first of
     `values`."""
     for item in additions:

@@ -190,7 +190,8 @@ class Observed:
         it. The tuple is empty if all entries would be None.
     `excess_voltage`, `excess_pressure`: arrays of shape (N,), the values that `overvoltage` and `overpressure` return; None means zero
         everywhere.
-    `past`: for samples that are one block of a simulation, the temperatures before the first sample, by the value of an effect's shape.
+    `past`: used if the samples are one block of a simulation; maps the value of an effect's shape to the temperatures before the first
+        sample.
     `reach`: largest distance of a sensor from the axis of a table, m.
     `encoder`: True if the angle of a turning table is known, from an encoder or from a simulation.
     `scatter`: array of shape (K, Q), quantiles of the noise of a sample, SI, for effects that act on an output together with its noise;
@@ -233,8 +234,8 @@ class Observed:
         self, *, fitted: Array | None = None, response: Array | None = None, scatter: Array | None = None
     ) -> Observed:
         """Returns a copy with another nominal model; arguments that are None leave an attribute unchanged. The copy shares the
-        motion at every sample with this recording, so it is neither computed nor stored again. The arguments are the attributes
-        with these names."""
+        motion at every sample with this recording, so the motion is neither computed nor stored again. The arguments are the
+        attributes with these names."""
         made = replace(
             self,
             fitted=self.fitted if fitted is None else fitted,
@@ -320,9 +321,10 @@ class Observed:
         return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
 
     def turn_before(self, seconds: float) -> Array:
-        """Returns the rate `turn` of `seconds` earlier, minus the present `turn`, shape (N, 3). While the table rocks with angular
-        frequency p, the motion is harmonic: with d = `seconds`, ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If only the recording shows
-        the motion, the rate is assumed to be constant before the first and after the last sample of a segment."""
+        """Returns the value of `turn` at the time `seconds` earlier, minus the present value of `turn`, shape (N, 3). While the
+        table rocks with angular frequency p, the motion is harmonic: with d = `seconds`, ω(t − d) = ω·cos pd − (dω/dt)/p·sin pd. If
+        only the recording shows the motion, the rate is assumed to be constant before the first and after the last sample of a
+        segment."""
         from scipy.interpolate import CubicSpline
 
         change = np.zeros((len(self.time), 3))

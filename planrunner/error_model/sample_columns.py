@@ -1,4 +1,4 @@
-"""Models an output that changes within segments by effects of the catalogue. The effects are computed at the samples of a
+"""Uses effects of the catalogue to model an output that changes within segments. The effects are computed at the samples of a
 recording, or at the bins of a long recording.
 
     output = F(own input + Σ amplitude · column)
@@ -57,7 +57,7 @@ class SampleColumns:
 @dataclass(frozen=True, eq=False)
 class ErrorsAtSamples:
     """Models one output at the samples of a recording. `observed`: the stimulus at N samples. `ErrorsAtSamples.of` makes an object
-    from a recording. It replaces the channels of the recording by two ideal triads."""
+    from a recording; this method replaces the channels of the recording by two ideal triads."""
 
     observed: Observed
     errors: OutputErrors

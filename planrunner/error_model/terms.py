@@ -1,9 +1,9 @@
 """Terms of an inertial sensor's error model: named functions of the stimulus, and models that are sums of such terms.
 
-A linear term gives one column of a design matrix. An estimator determines the coefficient of a term from the recorded stimulus; before a
-run, the check uses the planned stimulus to predict whether the coefficient is observable, and its uncertainty. (The virtual gyro uses
-none of this code: it has separate formulas for the balance of its rotor, so that an error in a formula cannot affect simulator and
-estimators alike.) Terms are found through the entry-point group `planrunner.terms`.
+A linear term gives one column of a design matrix. An estimator determines the coefficient of a term from the recorded stimulus;
+before a run, the check uses the planned stimulus to predict the observability and the uncertainty of the coefficient. (The virtual
+gyro uses none of this code: it has separate formulas for the balance of its rotor, so that an error in a formula cannot affect
+simulator and estimators alike.) Terms are found through the entry-point group `planrunner.terms`.
 """
 
 from __future__ import annotations
@@ -29,11 +29,12 @@ from planrunner.plan.units import STANDARD_GRAVITY
 class Term:
     """One term of an error model: a coefficient times a function of the stimulus.
 
-    `of`: the function of the stimulus; for a stimulus of n rows it returns the column, shape (n,), SI. `magnitude`: the declared size of
-    the column. The column is divided by it before the rank and the condition of the design matrix are judged. `unit`: unit of the column.
-    `degree`: polynomial degree in the components of the stimulus. A term of degree two or more cannot be computed from means over a
-    moving attitude, because the mean of a product is not the product of means. `of_motion`: True if the column depends on angular rate
-    and specific force alone; the column is then the same for all temperatures and times with the same orientations.
+    `of`: the function of the stimulus; for a stimulus of n rows it returns the column, shape (n,), SI. `magnitude`: the declared
+    size of the column. The column is divided by this size before the rank and the condition of the design matrix are judged.
+    `unit`: unit of the column. `degree`: polynomial degree in the components of the stimulus. A term of degree two or more cannot
+    be computed from means over a moving attitude, because the mean of a product is not the product of means. `of_motion`: True if
+    the column depends on angular rate and specific force alone; the column is then the same for all temperatures and times with the
+    same orientations.
     """
 
     name: str

@@ -104,7 +104,7 @@ class AxesExchanged:
 
 
 class UnitWrong:
-    """Multiplies an output by 1 + e: its values are in a unit other than the declared one, and 1 + e is the factor between the two
+    """Multiplies an output by 1 + e: its values are in a unit other than the declared unit, and 1 + e is the factor between the two
     units."""
 
     id, stage, hypothesis = "unit_wrong", "output", False

@@ -10,7 +10,7 @@ from planrunner.error_model.observed import Observed
 
 
 class SamplesStuck:
-    """Outputs that, from a given time since power-on, keep the value of one sample, including its noise."""
+    """From a given time since power-on, the outputs keep the value of one sample, including its noise, for some time."""
 
     id, stage, outside, shape_name, shape_unit = "samples_stuck", "covariance", "stuck", "time", "s"
     about = About(

@@ -79,8 +79,8 @@ class Column:
 @dataclass(frozen=True, slots=True)
 class Variant:
     """Describes an effect at one value of its shape. `shape`: the value in `shape_unit`, None for an effect without shape.
-    `widths`: if a variant combines several effects, the number of columns of each effect. `fixed`: the columns whose amplitude
-    physics fixes at 1, so that it is not fitted."""
+    `widths`: if a variant combines several effects, the number of columns of each effect. `fixed`: indices of the columns whose
+    amplitude is 1 for physical reasons; these amplitudes are not fitted."""
 
     columns: tuple[Column, ...]
     shape: float | None = None

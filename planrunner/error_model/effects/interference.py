@@ -1,7 +1,7 @@
 """Effects of line interference: the electric supply or a vibration causes a sine of one frequency in the outputs of a triad.
 
-Interference and its aliases are a single effect. The sine is taken at the times of the samples, so that a line above half of the
-sampling rate f_s appears at its folded frequency |f − n·f_s| (Oppenheim and Schafer, Discrete-Time Signal Processing, sampling
+Interference and its aliases are a single effect. The sine is evaluated at the times of the samples. Therefore, a line above half of
+the sampling rate f_s appears at its folded frequency |f − n·f_s| (Oppenheim and Schafer, Discrete-Time Signal Processing, sampling
 theorem). The samples alone do not show which of these frequencies is the true one.
 """
 

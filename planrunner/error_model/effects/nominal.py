@@ -20,21 +20,22 @@ def felt(observed: Observed, kind: str) -> Array:
 
 
 def bias(observed: Observed, kind: str) -> list[Column]:
-    """Adds a constant bias to each axis."""
+    """Returns the columns of a constant bias, one column for each axis."""
     unit, factor = ("deg/s", DEG) if kind == "gyro" else ("mg", 1e-3 * G)
     one = observed.time * 0 + 1
     return per_axis(observed, kind, "bias", unit, factor, factor, one)
 
 
 def scale_factor(observed: Observed, kind: str) -> list[Column]:
-    """Adds k times the input of the axis to the output of each axis."""
+    """Returns the columns of the scale factor errors, one column for each axis. The output of an axis changes by k times its input."""
     columns = per_axis(observed, kind, "k", "ppm", 1e-6, 1e-3, felt(observed, kind))
     return [replace(column, along=column.axis) for column in columns]
 
 
 def misalignment(observed: Observed, kind: str) -> list[Column]:
-    """Adds m times the input of another sensor axis to the output of each axis. A triad has six amplitudes m. In unknown
-    orientations, a triad has only three amplitudes, because only the sums of opposite misalignments can be determined."""
+    """Returns the columns of the misalignments. The output of an axis changes by m times the input of another sensor axis. A triad
+    has six amplitudes m. In unknown orientations, a triad has only three amplitudes, because only the sums of opposite
+    misalignments can be determined."""
     return towards_others(observed, kind, "arcsec", 1e-3, inputs=True)
 
 

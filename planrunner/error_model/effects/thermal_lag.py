@@ -1,4 +1,4 @@
-"""Effects of thermal lag: the temperature of the sensing element follows the temperature that the thermometer shows with a delay."""
+"""Effects of thermal lag: the temperature of the sensing element lags behind the temperature that the thermometer shows."""
 
 from __future__ import annotations
 
