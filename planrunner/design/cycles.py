@@ -2,9 +2,9 @@
 error cancel over all stops, and also over all turns.
 
 `same_order` keeps the planned order of the stops and chooses the sense of every turn. If no choice of senses in one round is good
-enough, it searches cycles of two and more rounds. `free_order` also chooses the order of the stops. In its cycles, every position
-is held equally often. The cycles of both functions end at the first position with unwound cables. Among several cycles, both
-functions prefer a mean angle of zero, then the smallest range of cable, and then the shortest duration.
+enough, `same_order` also searches cycles of two or more rounds. `free_order` also chooses the order of the stops. In its cycles,
+every position is held equally often. The cycles of both functions end at the first position with unwound cables. Among several
+cycles, both functions prefer a mean angle of zero, then the smallest range of cable, and then the shortest duration.
 
 Workers can share a search. The search of `same_order` is divided into parts with equal numbers of choices; the search of
 `free_order` is divided by the first move. The parts are independent of each other, and their results are combined in a fixed order,
@@ -89,8 +89,8 @@ class StudiedCycle:
 
 
 def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers = ALONE) -> FoundCycle:
-    """Searches for cycles through the planned stops in the planned order. A turn may have either sense. A turn may be as long as
-    the longest planned turn, or half a turn if that is longer.
+    """Searches for cycles through the planned stops in the planned order. A turn may have either sense. The longest permitted turn
+    is the longest planned turn or half a turn, whichever is longer.
 
     Raises `CycleError` if there are too many choices, or if the stops themselves are not balanced, because no choice of turns can
     correct this.
@@ -323,7 +323,7 @@ def _turn(turn: float, planned: RotationCycle) -> tuple[complex, float]:
 
 
 def _better(first: RotationCycle | None, second: RotationCycle | None) -> RotationCycle | None:
-    """Returns the better of two cycles with zero residual. If both are equally good, returns the first. None stands for no
+    """Returns the better of two cycles with zero residual. If both are equally good, returns the first. None means that there is no
     cycle."""
     if first is None or second is None:
         return first or second

@@ -175,8 +175,8 @@ def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool,
 
 
 def _worth(rows: Array, others: Array, weighting: Array | None) -> Array:
-    """Returns, for each candidate, a measure of what it adds to the information of the other points. Only the order of these values
-    matters."""
+    """Returns, for each candidate, a measure of the information that the candidate adds to the information of the other points.
+    Only the order of these values matters."""
     values, vectors = np.linalg.eigh(others)
     inverse = (vectors / np.maximum(values, 1e-13 * max(values[-1], 1e-300))) @ vectors.T
     carried = rows @ inverse

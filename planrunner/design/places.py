@@ -186,7 +186,7 @@ def _mark(segment: Segment) -> tuple[int, int]:
 
 def attitudes(axes: Sequence[TableAxis], settings: Array, azimuth: float) -> Array:
     """Returns the attitudes (m, 3, 3), with the sensor's axes as rows in East-North-Up, at joint angles (m, k) [rad]. The
-    computation is efficient if there are many angles."""
+    computation is efficient for many angles."""
     platform = np.broadcast_to(_turned(np.array([0.0, 0.0, 1.0]), np.array([-azimuth])), (len(settings), 3, 3))
     for axis, angles in zip(axes, settings.T, strict=True):
         platform = platform @ _turned(np.asarray(axis.direction, dtype=float), angles)

@@ -93,7 +93,7 @@ def joint_angles(
     """Returns the joint angles (n,) [rad] for an attitude (3, 3). Among all solutions within the limits, the result is the solution
     that the table reaches fastest from the joint angles `near`.
 
-    The angle of a limited axis counts in full turns, so that cables unwind if necessary. A continuous axis turns the shorter way.
+    The angle of a limited axis includes full turns, so that cables unwind if necessary. A continuous axis turns the shorter way.
     Among equally fast solutions, the solution with the limited axes nearest to zero is chosen. Among the remaining solutions, the
     solution that turns in the positive direction is chosen. Raises `Unreachable`, which states the reason, if there is no solution.
     """
@@ -103,8 +103,8 @@ def joint_angles(
 def quickest_move(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> tuple[Array, float]:
-    """Returns the joint angles (n,) as in `joint_angles`, and the time [s] that the move takes. The arguments are the same as
-    there. Raises `Unreachable`, which states the reason, if the attitude cannot be reached."""
+    """Returns the joint angles (n,) as in `joint_angles`, and the time [s] that the move takes. The arguments are those of
+    `joint_angles`. Raises `Unreachable`, which states the reason, if the attitude cannot be reached."""
     start = np.asarray(near, dtype=float).tobytes()
     angles, seconds = _quickest_move(tuple(axes), np.asarray(target, dtype=float).tobytes(), start, azimuth)
     return np.array(angles), seconds
@@ -177,8 +177,8 @@ def _preferred(axes: Sequence[TableAxis], near: Angles, ways: list[Angles]) -> A
 
 
 def _least(ways: list[Angles], values: list[float]) -> list[Angles]:
-    """Returns the moves with the smallest value. Moves whose value is only so little larger that rounding, or the end of a previous
-    motion, could cause the difference are included."""
+    """Returns the moves with the smallest value. Moves with a slightly larger value are included if rounding, or the end of a
+    previous motion, could cause the difference."""
     most = min(values) * (1 + AS_QUICK) + ALIKE
     return [way for way, value in zip(ways, values, strict=True) if value <= most]
 

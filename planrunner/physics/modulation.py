@@ -1,5 +1,5 @@
-"""Computes how a sensor error that a rotation cycle modulates affects navigation. The harmonics of the cycle drive the Schuler
-loop.
+"""Computes the effect of a sensor error on navigation if a rotation cycle modulates this error. The harmonics of the cycle drive
+the Schuler loop.
 
 Velocity v and attitude error ψ are written as complex numbers (east + i·north). A gyro error ε(t) and an accelerometer error b(t)
 in the navigation frame obey v′ = −i·g·ψ + b and ψ′ = ε − i·v/R (Titterton and Weston, Strapdown Inertial Navigation Technology, 2nd
@@ -31,8 +31,8 @@ def schuler_drive(cycle: RotationCycle, seconds: float, site: Site) -> float:
 
     A drift ε(t) leaves an oscillation of the size |∫ ε·exp(−iωt) dt| at each of the two free rates ω. The sum of these two sizes is
     the semi-major axis of the ellipse along which the velocity moves. Without rotation, this axis is 2·|ε|/ω_s. Over n cycles, the
-    integral is the integral over one cycle times |sin(nx)/sin(x)|, where x = ω·period/2. Near a harmonic, it grows with every
-    cycle.
+    integral is the integral over one cycle times |sin(nx)/sin(x)|, where x = ω·period/2. Near a harmonic, this factor grows with
+    every cycle.
     """
     natural = schuler_rate(site)
     if round(natural * cycle.period / (2 * math.pi)) == 0:

@@ -91,8 +91,8 @@ class RotationCycle:
 
     @property
     def mean_angle(self) -> float:
-        """Returns the mean over time of the angle from the first position, rad. Multiplied by the scale factor error of a gyro, it
-        is the mean heading error."""
+        """Returns the mean over time of the angle from the first position, rad. The product of this angle and the scale factor
+        error of a gyro is the mean heading error."""
         _, lasting, angles, rates, slopes, _ = self._pieces
         integral = angles * lasting + rates * lasting**2 / 2 + slopes * lasting**3 / 6
         return math.fsum(integral) / self.period

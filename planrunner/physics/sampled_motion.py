@@ -97,7 +97,7 @@ def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequ
 
 
 def start_angle(motion: Spin, since: Array, values: Array, expected: Array, offset: float) -> float:
-    """Returns the angle [rad] of a turning table at its first sample. With this angle, the outputs agree best with the expected
+    """Returns the angle [rad] of a turning table at the first sample. With this angle, the outputs agree best with the expected
     input.
 
     `values`: array of shape (n, K) in SI units, outputs after the expected input along the axis of the table has been subtracted.

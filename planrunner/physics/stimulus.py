@@ -28,10 +28,10 @@ class Stimulus:
 
     `omega`: array of shape (n, 3) in rad/s, angular rate relative to inertial space, along the sensor's x, y, z axes.
     `specific_force`: array of shape (n, 3) in m/s^2, along the same axes. `temperature`: array of shape (n,) in K, NaN where it is
-    unknown. `time`: array of shape (n,) in s; for a segment, its middle. `table_rate`: array of shape (n,), rate of the table,
-    rad/s. `table_angle`: array of shape (n,), angle by which the table has turned since the start of the dwell, rad. `moving`:
-    array of shape (n,), True if the attitude changed during averaging. In this case, the mean of a product differs from the product
-    of the means.
+    unknown. `time`: array of shape (n,) in s; for a segment, the middle of the dwell. `table_rate`: array of shape (n,), rate of
+    the table, rad/s. `table_angle`: array of shape (n,), angle by which the table has turned since the start of the dwell, rad.
+    `moving`: array of shape (n,), True if the attitude changed during averaging. In this case, the mean of a product differs from
+    the product of the means.
     """
 
     omega: Array
@@ -51,8 +51,8 @@ def segment_means(segments: Sequence[Segment], site: Site, durations: Sequence[f
 
     `durations`: recorded durations of the dwells, s; by default the planned dwells. A segment with a spin starts at its planned
     attitude. The mean of such a segment is taken over the angle that it covers or, if its duration is unknown, over whole turns.
-    Raises `StimulusError` if an attitude is unknown, or if a segment moves in another way than by a spin (rocking, a cycle),
-    because a mean then does not represent the stimulus.
+    Raises `StimulusError` if an attitude is unknown, or if a segment has a motion other than a spin (for example, rocking or a
+    cycle), because a mean then does not represent the stimulus.
     """
     return Poses.of(segments, durations).felt(site)
 
@@ -151,7 +151,7 @@ def _attitude(segment: Segment) -> Array:
 
 
 def _temperature(segment: Segment) -> float:
-    """Returns the planned temperature of a segment [K]: for a ramp its mean; NaN if it is unknown."""
+    """Returns the planned temperature of a segment [K]: for a ramp, the mean temperature; NaN if the temperature is unknown."""
     kelvin, ramp_to = segment.temperature, segment.ramp_to
     if kelvin is None:
         return math.nan
