@@ -281,8 +281,9 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
         moved=float(np.max(np.abs(fit.coefficients - drift.without) / spreads)),
         written=_written(drift.courses),
     )
+    bent = () if drift.nonlinear is None else (_bent(fit, drift.courses, drift.nonlinear),)
     if fit.freedom >= FEW:
-        return DriftWords(warnings=(seen,))
+        return DriftWords(warnings=(seen, *bent))
     doubtful = counted(
         "{warning} Only {count} degree of freedom is left, so errors of the positions could look like a drift: "
         "repeat the first segment at the end.",
@@ -291,7 +292,7 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
         count=fit.freedom,
         warning=seen,
     )
-    return DriftWords(warnings=(doubtful,))
+    return DriftWords(warnings=(doubtful, *bent))
 
 
 def _named(courses: Sequence[DriftCourse]) -> tuple[str, ...]:
@@ -341,6 +342,21 @@ def _rivalled(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArra
         drifts=_named(courses),
         shares=_shares(fit, nonlinear),
         written=_written(courses),
+        estimator="error_model",
+    )
+
+
+def _bent(fit: OutputsFit, courses: Sequence[DriftCourse], nonlinear: NDArray[np.float64]) -> Said:
+    """Returns a warning about a drift that is fitted because other outputs show it, although the residuals of these outputs come
+    either from this drift or from a nonlinearity."""
+    return said(
+        "{outputs}: the drift ({drifts}) is fitted because other outputs of the sensor show it. A nonlinearity of these outputs "
+        "also explains the residuals without the drift: the square of the output explains {shares} of the scatter about the model. "
+        "The coefficients may contain a part of the nonlinearity. To find out which explanation is true, repeat the first segment "
+        "at the end, or estimate the nonlinearity with {estimator}.",
+        outputs=fit.outputs,
+        drifts=_named(courses),
+        shares=_shares(fit, nonlinear),
         estimator="error_model",
     )
 

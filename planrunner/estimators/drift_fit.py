@@ -174,6 +174,8 @@ def fitted_drift(
     by_chance: dict[str, float] = {}
     while tried := _next(matrix, magnitudes, drift, chosen, len(noises)):
         if drift.shown:
+            if _is_rounding(matrix, tried[0], fits(joined(matrix, (*chosen, tried[0])))):
+                break
             chosen = (*chosen, tried[0])
             continue
         judged = True
@@ -210,7 +212,13 @@ def fitted_drift(
             for one in _doubted(matrix, course, by_chance.get(course.name, 0.0), plain, noises, fits, basis)
         )
         return FittedDrift(by_evidence=True, judged=True, rivals=chosen, nonlinear=_taken(plain, bent), doubted=doubted)
-    return FittedDrift(chosen, True, True, np.array([one.coefficients for one in plain]), _taken(plain, whole))
+    without, explained = np.array([one.coefficients for one in plain]), _taken(plain, whole)
+    made = FittedDrift(chosen, True, True, without, explained)
+    if drift.shown and not explained_by_noise(plain, noises):
+        bent = _nonlinear(matrix, plain, fits)
+        if bent and _criterion(bent, len(matrix)) < _criterion(whole, len(matrix)):
+            return replace(made, nonlinear=_taken(plain, bent))
+    return made
 
 
 def _scattering(plain: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> float:
