@@ -59,7 +59,7 @@ def test_a_nonlinearity_of_the_other_triad_is_named_beside_the_drift(square: flo
     bends = np.array([0, 0, 0, square, square, square])
     for run in range(3):
         found = made(np.array([8.0, 8.0, 8.0, 0, 0, 0]), run=run, squares=bends)
-        [drifting] = [text for text in found.warnings if "accel_x" in text and "seem to drift" in text]
+        assert [text for text in found.warnings if "accel_x" in text and "seem to drift" in text]
         bent = [text for text in found.warnings if "A nonlinearity of these outputs also explains" in text]
         assert len(bent) == (square > 0)
         assert all("accel_x" in text and "gyro_x" not in text for text in bent)
