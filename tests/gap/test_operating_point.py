@@ -148,6 +148,22 @@ def test_outputs_that_only_seem_to_be_in_a_dead_zone_leave_it() -> None:
     assert sum(abs(width - 0.1) < 0.002 for width in found) >= 4, found
 
 
+@pytest.mark.parametrize(("seed", "width"), [(5, 0.2), (1, 0.3), (2, 0.3), (4, 0.3)])
+def test_nominal_parameters_stay_near_a_dead_zone(seed: int, width: float) -> None:
+    """Biases are at most 0.5 deg/s. A fit that follows every step ends with biases of up to 70 deg/s, far from the dead zone."""
+    recorded, _ = _with_dead_zone(seed, width * DEG)
+    weighing = Weighing(recorded).without_walks()
+    values = settled(weighing, GyroDeadZone(), width, weighing.nominal_values())
+    away = weighing.output_at(values)[:, :3] - recorded.omega
+    assert float(np.abs(away).max()) < 1.0 * DEG
+
+
+def test_a_dead_zone_is_named_alone() -> None:
+    """A search that stays in the first optimum names a further effect in this recording."""
+    found = diagnose(_with_dead_zone(4, 0.1 * DEG)[0])
+    assert found.verdict.effects == ("gyro_dead_zone",)
+
+
 def test_a_limit_at_zero_explains_nothing() -> None:
     """With a limit near zero, no output remains, and the nominal parameters explain the effect completely. What is left of its signature
     are rounding errors, which must not count as evidence."""

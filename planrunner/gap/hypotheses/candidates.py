@@ -334,6 +334,18 @@ class Weighing:
             found.append(values[: nominal.shape[1]])
         return found
 
+    def misfits(self, values: Sequence[Array], taken: Sequence[Array]) -> list[float]:
+        """Returns, for each channel, the sum of the squared whitened residuals, at the most probable noise. The amplitudes of `angles`
+        are fitted. `values`, `taken`: for each channel, the values (q,) of its nominal parameters in magnitudes, and the
+        coefficients (M,) that an effect explains."""
+        found = []
+        for index, (whole, at) in enumerate(zip(self.whole, values, strict=True)):
+            left = self.spectrum.values[:, index] - taken[index] - whole @ at
+            both = self.weights_at(self.likeliest[0], index).whiten(np.column_stack([self.angles[index], left]))
+            basis, rest = np.linalg.qr(both[:, :-1])[0], both[:, -1]
+            found.append(float(rest @ rest - ((basis.T @ rest) ** 2).sum()))
+        return found
+
     def weights_at(self, setting: int, channel: int) -> ChannelWeights:
         """Returns the weights of a channel at one setting of the noise."""
         gyro, accel = divmod(setting, self.shape[1])

@@ -49,7 +49,7 @@ _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justi
 WORSE = float(np.log(100.0))  # a more exact form is rejected if it is less likely by more than this
 _STILL = 0.1  # standard deviations of the noise by which an effect, or the sum of the secants, may still change
 
-_WIDTHS = (30.0, 10.0, 3.0, 1.0)
+_WIDTHS = (1000.0, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0)
 """Steps of the differences that replace derivatives in the first iterations, in standard uncertainties of the output."""
 
 
@@ -252,6 +252,7 @@ _SAME = 0.05  # standard deviations by which two shapes may differ and count as 
 _DROP = 0.5  # nats below the best: one standard deviation
 _TOLD = 1.0  # nats that an effect of any shape must explain beyond none
 _CLOSER = 16  # times by which a parabola narrows the search for a shape
+_NEARBY = 6  # shapes between a shape and the next one of the grid
 _SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
 
 
@@ -295,24 +296,71 @@ class _Found:
 
 def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column]) -> _Found:
     """Searches for the most probable shape and fits the nominal parameters. For an effect on the output, the shape and the nominal
-    parameters are varied together. If the search alternates between shapes or does not converge, the most probable of the visited
-    shapes is used, with the nominal parameters that were fitted for it."""
+    parameters are varied together. This search follows the parameters from one optimum, and there may be several: an output
+    near a dead zone, for example, can lie inside or outside. Therefore, shapes to both sides are also tried, each with the
+    parameters that fit it best. A clearly better one replaces the shape that was found."""
     best, values = (near, None) if near is not None else _start(weighing, effect)
+    steps = _STEPS if near is None else _STEPS_BESIDE
+    evidence, found, values = _alternated(weighing, effect, best, values, columns, steps)
+    acting = on_output(effect)
+    if acting is None or near is not None:
+        return found
+    value, other = _beside(weighing, acting, found.shape, values, columns)
+    return other if value > evidence + _TOLD else found
+
+
+def _beside(
+    weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], columns: Sequence[Column]
+) -> tuple[float, _Found]:
+    """Evaluates shapes between `shape` and the next shapes of the grid, then shapes near the best of them. Each is evaluated with the
+    nominal parameters that fit it; the fit starts from the parameters of the neighbouring shape. Returns the evidence of the best
+    shape, and this shape. `values`: parameters (q,) of each channel for `shape`. `columns`: the same as in `moving`."""
+    grid = np.log(effect.grid(weighing.observed))
+    place, known = float(np.log(shape)), dict[float, tuple[float, Sequence[Array]]]()
+    ends = [*grid[grid < place][-1:].tolist(), *grid[grid > place][:1].tolist()]
+    for _ in range(2):
+        for end in ends:
+            now = values
+            for at in np.linspace(place, end, _NEARBY + 1)[1:].tolist():
+                now = settled(weighing, effect, float(np.exp(at)), now)
+                (form,) = weighing.weigh([effect.at(weighing.seen(now), float(np.exp(at)))])
+                known[at] = _evidence(weighing, form), now
+        found = np.array(sorted(known))
+        evidence = np.array([known[at][0] for at in found])
+        top = int(np.clip(np.argmax(evidence), 1, len(found) - 2))
+        place, values = float(found[top]), known[float(found[top])][1]
+        ends = [float(found[top - 1]), float(found[top + 1])]
+    _, sigma = _parabola(found, evidence, top)
+    along = moving(weighing, effect, float(np.exp(place)), values, columns)
+    return float(evidence[top]), _Found(weighing.seen(values), along, float(np.exp(place)), sigma)
+
+
+def _alternated(
+    weighing: Weighing,
+    effect: Shaped,
+    best: Weighed,
+    values: Sequence[Array] | None,
+    columns: Sequence[Column],
+    steps: int,
+) -> tuple[float, _Found, Sequence[Array]]:
+    """Searches the shape and fits the nominal parameters alternately. If the search alternates between shapes or does not converge,
+    the most probable of the visited shapes is used, with the nominal parameters that were fitted for it. Returns the evidence, the
+    shape, and the parameters (q,) of each channel."""
     shape, last, acting = float(best.variant.shape or 0.0), np.nan, on_output(effect)
-    visited: list[tuple[float, _Found]] = []
-    for _ in range(_STEPS if near is None else _STEPS_BESIDE):
+    visited: list[tuple[float, _Found, Sequence[Array]]] = []
+    for _ in range(steps):
         values = _together(weighing, effect, best, values)
         seen, before, last = weighing.seen(values), last, shape
         along = weighing if acting is None else moving(weighing, acting, shape, values, columns)
         shape, sigma = _most_probable(along, effect, seen, last)
         (best,) = weighing.weigh([effect.at(seen, shape)])
-        visited.append((_evidence(weighing, best), _Found(seen, along, shape, sigma)))
+        visited.append((_evidence(weighing, best), _Found(seen, along, shape, sigma), values))
         if abs(np.log(shape / last)) < _SAME * sigma:
-            return visited[-1][1]
+            return visited[-1]
         visited = [max(visited, key=lambda one: one[0])]  # each contains the outputs of a nominal model
         if abs(np.log(shape / before)) < _SAME * sigma:
             break
-    return visited[0][1]
+    return visited[0]
 
 
 def _start(weighing: Weighing, effect: Shaped) -> tuple[Weighed, Sequence[Array] | None]:
@@ -465,7 +513,7 @@ def _parabola(place: Array, evidence: Array, top: int) -> tuple[float, float]:
     return float(place[top] + np.clip(-slope / (2 * bend), -reach, reach)), float(1 / np.sqrt(-2 * bend))
 
 
-_FITS = 9  # iterations of Gauss–Newton
+_FITS = 12  # iterations of Gauss–Newton
 _ROUNDING = 1e-6
 """If the output changes by less than this fraction of a change of the nominal output, it counts as constant. Smaller changes are
 rounding errors, which must not count as information about the parameters."""
@@ -531,23 +579,32 @@ def settled(
     Repeated fits to the data minus the effect would converge slowly: in segments with a limited output, these data follow the scale
     factor of the preceding fit. Therefore, the fit includes the change of the effect with the parameters (Gauss–Newton). The first
     derivatives are differences over wide steps (`_WIDTHS`): within a dead zone, the output is zero, and the exact derivative would
-    not show how to leave the dead zone.
+    not show how to leave the dead zone. The steps can also lead far away from the parameters. If the fit does not end with the
+    smallest misfit, it is repeated with small steps from the parameters with the smallest misfit, separately in each channel.
     """
-    found, steps, change = list(values), _steps(weighing), list[Array]()
-    for number in range(_FITS):
-        seen = replace(weighing.observed, fitted=weighing.output_at(found))
-        if number < len(_WIDTHS):
-            change = _changes(weighing, effect, shape, seen, amplitude, _WIDTHS[number] * steps)
-        caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(seen, shape).columns)
-        fixed = [raw.sum(axis=1) * amplitude - own @ at for raw, own, at in zip(caused, change, found, strict=True)]
-        before, found = found, weighing.nominal_values(fixed, change)
-        moved = [
-            own[0].whiten(whole @ (new - old)[:, None])
-            for own, whole, new, old in zip(weighing.weights, weighing.whole, found, before, strict=True)
-        ]
-        if number >= len(_WIDTHS) - 1 and max(float((part**2).sum()) for part in moved) < _STILL**2:
+    found, steps = list(values), _steps(weighing)
+    best = [(np.inf, own) for own in found]  # of each channel, the smallest misfit and its parameters
+    for widths in (_WIDTHS, _WIDTHS[-1:]):
+        for number in range(_FITS):
+            seen = replace(weighing.observed, fitted=weighing.output_at(found))
+            if number < len(widths):
+                change = _changes(weighing, effect, shape, seen, amplitude, widths[number] * steps)
+            caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(seen, shape).columns)
+            taken = [raw.sum(axis=1) * amplitude for raw in caused]
+            now = [*zip(weighing.misfits(found, taken), found, strict=True)]
+            best = [min(pair, key=lambda one: one[0]) for pair in zip(best, now, strict=True)]
+            fixed = [part - own @ at for part, own, at in zip(taken, change, found, strict=True)]
+            before, found = found, weighing.nominal_values(fixed, change)
+            moved = [
+                own[0].whiten(whole @ (new - old)[:, None])
+                for own, whole, new, old in zip(weighing.weights, weighing.whole, found, before, strict=True)
+            ]
+            if number >= len(widths) - 1 and max(float((part**2).sum()) for part in moved) < _STILL**2:
+                break
+        if all(least >= misfit - _STILL**2 for (least, _), (misfit, _) in zip(best, now, strict=True)):
             break
-    return found
+        found = [own for _, own in best]
+    return [own for _, own in best]
 
 
 def _changes(
