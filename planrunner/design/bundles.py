@@ -40,10 +40,11 @@ def choose(
     workers: Workers = ALONE,
 ) -> tuple[int, ...]:
     """Returns the best `count` different bundles of `bundles` (N, p, p), as ascending indices (count,), found by exchange from
-    seeded starts. The bundles in `kept` are always included. `workers`: processes that share the starts; the result for a seed does
-    not depend on the number of workers.
+    seeded starts. The bundles in `kept` are always included. `fixed`: array of shape (p, p), information that does not depend on
+    the choice. `workers`: processes that share the starts; the result for a seed does not depend on the number of workers.
 
-    Raises ValueError if there are fewer bundles than requested, or if no choice determines all terms.
+    Raises ValueError if there are fewer bundles than requested, if more bundles are kept than requested, or if no choice determines
+    all terms.
     """
     if count > len(bundles) or len(kept) > count:
         raise ValueError(f"{count} different choices are not possible from {len(bundles)}")

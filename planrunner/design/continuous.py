@@ -61,8 +61,9 @@ class Continuous:
 
 
 def derivative(rows: Array, matrix: Array, weighting: Array | None) -> Array:
-    """Returns the derivative of the criterion for each row x, shape (N,): xᵀM⁻¹x for criterion D, and xᵀM⁻¹WM⁻¹x for a linear
-    criterion."""
+    """Returns the derivative of the criterion for each row x of `rows` (N, p), shape (N,). The derivative is xᵀM⁻¹x for criterion
+    D, and xᵀM⁻¹WM⁻¹x for a linear criterion. `matrix`: the information matrix M (p, p). `weighting`: the matrix W (p, p), None for
+    criterion D."""
     inverse = np.linalg.inv(matrix)
     middle = inverse if weighting is None else inverse @ weighting @ inverse
     return np.asarray(np.einsum("ij,ij->i", rows @ middle, rows))
@@ -122,7 +123,8 @@ def solve(
 def judged(
     rows: Array, shares: Array, weighting: Array | None = None, least: float = 0.0, fixed: Array | None = None
 ) -> Continuous:
-    """Returns the design with the given fractions, with its certificate over the candidates `rows`."""
+    """Returns the design with the fractions `shares` (N,), with its certificate over the candidates `rows` (N, p). `weighting`,
+    `least`, `fixed`: the same as in `solve`."""
     matrix = information(rows, shares) + (0.0 if fixed is None else fixed)
     gain = derivative(rows, matrix, weighting)
     free = shares - least

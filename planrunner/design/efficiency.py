@@ -55,7 +55,7 @@ class Efficiency:
 
 
 def information(rows: Array, weights: Array | None = None) -> Array:
-    """Returns the information matrix M, shape (p, p). `weights`: array of shape (n,), 1 for each row by default."""
+    """Returns the information matrix M, shape (p, p), of rows (n, p). `weights`: array of shape (n,), 1 for each row by default."""
     rows = np.asarray(rows, dtype=float)
     return rows.T @ rows if weights is None else (rows * np.asarray(weights)[:, None]).T @ rows
 
@@ -67,7 +67,7 @@ def region_moment(region: Array) -> Array:
 
 
 def variances(rows: Array, matrix: Array) -> Array:
-    """Returns the variance xᵀM⁻¹x for each row, shape (n,)."""
+    """Returns the variance xᵀM⁻¹x for each row x of `rows` (n, p), shape (n,). `matrix`: the information matrix M (p, p)."""
     return np.asarray(np.einsum("ij,ij->i", rows @ np.linalg.inv(matrix), rows))
 
 

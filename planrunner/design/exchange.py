@@ -70,7 +70,8 @@ def choose(
     fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> Chosen:
-    """Returns the best set of `count` different candidates, by exhaustive search if feasible, otherwise by exchange."""
+    """Returns the best set of `count` different candidates among `rows` (N, p), by exhaustive search if feasible, otherwise by
+    exchange. `weighting`: the matrix W (p, p), None for criterion D. Raises ValueError if there are too few candidates."""
     if math.comb(len(rows), count) <= MOST_CHOICES:
         return exhaust(rows, count, weighting, progress, fixed)
     return exchange(rows, count, weighting, seed=seed, fixed=fixed, progress=progress)[0]
@@ -83,7 +84,8 @@ def exhaust(
     progress: Progress | None = None,
     fixed: Array | None = None,
 ) -> Chosen:
-    """Returns the best of all choices of `count` different candidates."""
+    """Returns the best of all choices of `count` different candidates among `rows` (N, p). `weighting`: the matrix W (p, p), None
+    for criterion D."""
     p = rows.shape[1]
     outers = np.einsum("ni,nj->nij", rows, rows).reshape(len(rows), p * p)
     total = math.comb(len(rows), count)
@@ -135,9 +137,9 @@ def exchange(
     fixed: Array | None = None,
     progress: Progress | None = None,
 ) -> list[Chosen]:
-    """Returns the sets found by exchange from `restarts` random sets, the best first. The same seed gives the same sets. `repeats`:
-    True if a set may contain a candidate more than once. Raises ValueError if there are too few candidates for a set without
-    repeats."""
+    """Returns the sets of `count` candidates among `rows` (N, p) that exchange finds from `restarts` random sets, the best first.
+    The same seed gives the same sets. `weighting`: the matrix W (p, p), None for criterion D. `repeats`: True if a set may contain
+    a candidate more than once. Raises ValueError if there are too few candidates for a set without repeats."""
     if not repeats and count > len(rows):
         raise ValueError(f"{count} different positions cannot be chosen from {len(rows)}")
     random = np.random.default_rng(seed)

@@ -130,13 +130,14 @@ def refine(over: Region, start: Array, weighting: Array | None = None, fixed: Ar
 
 def climb(over: Region, matrix: Array, weighting: Array | None = None) -> tuple[Array, Array]:
     """Finds local maxima of the derivative of the criterion by climbing from candidates with a large derivative. Returns the rows
-    (m, p) at the highest maxima, and the values (m,) of the derivative there."""
+    (m, p) at the maxima, and the values (m,) of the derivative there. `matrix`: the information matrix M (p, p). `weighting`: the
+    matrix W (p, p), None for criterion D."""
     from scipy.optimize import minimize
 
     inverse = np.linalg.inv(matrix)
     middle = inverse if weighting is None else inverse @ weighting @ inverse
     height = derivative(over.rows, matrix, weighting)
-    # The highest of every part of the candidates rather than the highest of all, which would share one hill.
+    # Starts from the highest candidate of each part of the list. The highest candidates of the whole list would climb the same hill.
     top = np.array(
         [part[np.argmax(height[part])] for part in np.array_split(np.arange(len(height)), CLIMBERS) if len(part)]
     )
@@ -181,9 +182,9 @@ def bound(
 
 
 def allocate(rows: Array, weighting: Array | None = None, *, fixed: Array | None = None) -> Array:
-    """Returns the fractions of the total recording time for given positions, shape (n,); they add up to 1. The variance of an
-    observation is inversely proportional to its time. Each fraction is at least `LEAST_SHARE`/n. All positions therefore remain in
-    the plan, so that the model can be checked."""
+    """Returns the fractions of the total recording time for the positions with the rows `rows` (n, p). The result has the shape
+    (n,), and its sum is 1. The variance of an observation is inversely proportional to its time. Each fraction is at least
+    `LEAST_SHARE`/n. All positions therefore remain in the plan, so that the model can be checked."""
     return solve(rows, weighting, least=LEAST_SHARE / len(rows), tolerance=1e-9, fixed=fixed).shares
 
 

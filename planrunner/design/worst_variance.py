@@ -66,8 +66,9 @@ def refine(over: Region, start: Array, region: Array, fixed: Array | None = None
 
 
 def exchange(rows: Array, start: Indices, region: Array, repeats: bool = False, fixed: Array | None = None) -> Indices:
-    """Returns the indices (n,) of the chosen candidates among `rows` (N, p). The search begins with `start`, and makes exchanges
-    that reduce the largest variance until no exchange reduces it any more."""
+    """Returns the indices (n,) of the chosen candidates among `rows` (N, p). `region`: rows of the points for which predictions are
+    required. `repeats`: True if a candidate may be chosen more than once. The search begins with `start`, and makes exchanges that
+    reduce the largest variance until no exchange reduces it any more."""
     chosen = list(map(int, start))
     least = worst(rows[chosen], region, fixed)
     improved = True

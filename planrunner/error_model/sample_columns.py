@@ -68,8 +68,8 @@ class ErrorsAtSamples:
         return cls(replace(observed, channels=TRIADS, values=ideal, along=None), errors)
 
     def grid(self, part: EffectPart) -> Array:
-        """Returns the values of an effect's shape that the catalogue gives for this recording, in ascending order; empty if the
-        effect cannot act on this output."""
+        """Returns the values of an effect's shape that the catalogue gives for this recording, in ascending order, shape (n,);
+        empty if the effect cannot act on this output."""
         effect = part.effect
         seen = replace(self.observed, fitted=self._alone(self._own(self.observed)))
         variants = effect.variants(seen)

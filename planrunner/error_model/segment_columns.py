@@ -218,7 +218,7 @@ class ErrorsAtSegments:
         return np.vstack(found)
 
     def shapes_of(self, effect: ShapedOverSegments) -> Array:
-        """Returns the values of an effect's shape that the catalogue gives for these segments, in ascending order."""
+        """Returns the values of an effect's shape that the catalogue gives for these segments, in ascending order, shape (n,)."""
         return effect.grid(self._planned)
 
     def course(self, output: int, effect: Effect, amplitudes: Array) -> tuple[Array, Array]:

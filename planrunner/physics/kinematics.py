@@ -90,8 +90,8 @@ def attitude(axes: Sequence[TableAxis], angles: Sequence[float] | Array, azimuth
 def joint_angles(
     axes: Sequence[TableAxis], target: Array, near: Sequence[float] | Array, azimuth: float = 0.0
 ) -> Array:
-    """Returns the joint angles (n,) [rad] for an attitude (3, 3). Among all solutions within the limits, the result is the solution
-    that the table reaches fastest from the joint angles `near`.
+    """Returns the joint angles (n,) [rad] for an attitude `target` (3, 3), whose rows are the sensor's axes in East-North-Up. Among
+    all solutions within the limits, the result is the solution that the table reaches fastest from the joint angles `near`.
 
     The angle of a limited axis includes full turns, so that cables unwind if necessary. A continuous axis turns the shorter way.
     Among equally fast solutions, the solution with the limited axes nearest to zero is chosen. Among the remaining solutions, the

@@ -89,7 +89,7 @@ def by_force(force: Array) -> BodyMotion:
 
 def followed(time: Array, omega: Array, start: Array, site: Site) -> Array:
     """Computes the attitudes of a body that starts at the attitude `start` and rotates at the rate `omega` in its own axes. The
-    rate has the shape (n, 3), the attitudes have the shape (n, 3, 3).
+    rate [rad/s] has the shape (n, 3), the attitudes have the shape (n, 3, 3). `time`: array of shape (n,), s.
 
     Between two samples, the body rotates at the mean of the two rates. The attitude relative to inertial space is the product of
     these rotations. The rotation of the site at the Earth's rate is taken into account. All partial products are computed in about

@@ -88,8 +88,8 @@ def along_axis(motion: Spin, attitude: Array, vector: Array) -> Array:
 
 
 def angle_from(motion: Motion, attitude: Array, site: Site, accelerometers: Sequence[int]) -> AngleFrom:
-    """Determines how the angle of a table without encoder is known. `accelerometers`: the sensor axes (0, 1, 2) that have an
-    accelerometer."""
+    """Determines how the angle of a table without encoder is known. `attitude`: array of shape (3, 3), attitude at table angle 0.
+    `accelerometers`: the sensor axes (0, 1, 2) that have an accelerometer."""
     if not isinstance(motion, Spin):
         return AngleFrom.PLAN
     seen = once_per_turn(motion, attitude, site.specific_force_enu)[list(accelerometers)]

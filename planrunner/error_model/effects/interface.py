@@ -341,7 +341,8 @@ class Shaped:
     shape_unit: str
 
     def grid(self, observed: Observed) -> Array:
-        """Returns the values of the shape that the diagnosis tries first. The result is empty if the effect cannot act."""
+        """Returns the values of the shape that the diagnosis tries first, in `shape_unit`, shape (n,). The result is empty if the
+        effect cannot act."""
         raise NotImplementedError
 
     def at(self, observed: Observed, value: float) -> Variant:

@@ -150,7 +150,7 @@ class SamplesDropped(Shaped):
         return SamplesDropped(float(amplitudes[0]))
 
     def grid(self, observed: Observed) -> Array:
-        """Returns possible moments of the loss as an array, s since power-on, from the start of the first segment in which the rate
+        """Returns possible moments of the loss, s since power-on, shape (n,), from the start of the first segment in which the rate
         changes to the end of the last such segment."""
         if not observed.unsteady.any() or not observed.of_kind("gyro") or observed.along is not None:
             return np.empty(0)

@@ -910,6 +910,8 @@ class _Rows:
         return lambda columns: (whiten(columns).T / scale).T
 
     def project(self, columns: Array) -> Array:
+        """Returns columns (n, P) or (n,) of the chosen rows after whitening and without the part that the nominal parameters absorb, in
+        the same shape."""
         whitened = self.whiten(columns)
         return whitened - self.basis @ (self.basis.T @ whitened)
 

@@ -29,8 +29,8 @@ from planrunner.observation.refusals import ObservationError
 FEWEST = 3
 """Smallest number of segments that the recording and the simulation must have in common."""
 MOST_HELD = 1 / 3
-"""Fraction of a segment that may consist of samples that repeat an earlier one. If more samples of a channel repeat, the segment is not
-compared: the other samples hardly determine its coefficients."""
+"""Fraction of a segment that may consist of samples that repeat an earlier sample. If more samples of a channel repeat, the segment
+is not compared: the other samples hardly determine its coefficients."""
 
 
 @dataclass(frozen=True)

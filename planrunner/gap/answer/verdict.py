@@ -133,7 +133,7 @@ def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float
 
 RIVAL = 0.02  # fraction of the first's probability: less likely members of a class are left out, because the data exclude them
 UNCOMPARED = 0.1
-"""The same, for hypotheses without signatures that could be compared: "unknown", and sets of effects on the noise."""
+"""The same as `RIVAL`, for hypotheses whose signatures cannot be compared: "unknown", and sets of effects on the noise."""
 COVERED = 0.95
 ELSEWHERE = 0.5  # share of an effect's energy in other channels at and above which it is not form residue
 BESIDE = 0.5  # the probability above which an effect on the noise, a tone or bursts are stated beside a cause

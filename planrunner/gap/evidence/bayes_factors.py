@@ -33,8 +33,9 @@ _SWEEPS = 3
 _ROUNDING = 1e-14  # of the trace of a matrix, added to its diagonal
 ENERGIES = np.geomspace(0.5, 1e6, 25)  # grid of s², expressed as the expected energy
 GAIN = 0.01
-"""Standard deviation of an amplitude that physics fixes at 1. The fitted amplitude can differ from 1, because the effect acts on an
-output that contains the scale factor error and the misalignment of the sensor. These errors are rarely larger than this value."""
+"""Standard deviation of an amplitude that is 1 for physical reasons. The fitted amplitude can differ from 1, because the effect
+acts on an output that contains the scale factor error and the misalignment of the sensor. These errors are rarely larger than this
+value."""
 
 
 def log_bayes_factors(gram: Array, score: Array, trace: float | None = None, fixed: Sequence[int] = ()) -> Array:
@@ -62,7 +63,8 @@ def _free(gram: Array, score: Array, fixed: Sequence[int]) -> tuple[Array, Array
 
 def averaged(terms: Array, energies: Array = ENERGIES) -> Array:
     """Averages Bayes factors over the prior of λ, and returns the logarithm of the average, an array of shape (…). `terms`: array
-    of shape (…, E), log Bayes factor at each point of the grid of s²."""
+    of shape (…, E), log Bayes factor at each point of the grid of s². `energies`: array of shape (E,), this grid, expressed as the
+    expected energy."""
     step = float(np.log(energies[1] / energies[0]))
     return np.asarray(log_mean_exp(terms, -1) + np.log(len(energies) * step / RANGE))
 
@@ -101,8 +103,8 @@ def gaussian(grown: Array, gain: Array) -> Array:
 
 
 def strong_enough(mean: Array, variance: Array) -> Array:
-    """Returns the log probability that an energy with the given mean and variance is at least `WEAKEST`. The arrays are evaluated
-    element by element."""
+    """Returns the log probability that an energy with the given mean and variance is at least `WEAKEST`. The arrays have the same
+    shape and are evaluated element by element."""
     from scipy.special import gammaincc
 
     variance = np.maximum(variance, 1e-300)

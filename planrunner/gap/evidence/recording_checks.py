@@ -47,7 +47,7 @@ hand."""
 FAR = 6.0
 """If the mean of a part deviates by more than this number of standard deviations, scatter does not explain the deviation."""
 EXCHANGED = 10.0
-"""Two labels count as exchanged if exchanging them reduces the misfit at least by this factor. An exchange of labels cannot
+"""Two labels count as exchanged if exchanging them reduces the misfit by at least this factor. An exchange of labels cannot
 compensate an effect of the catalogue so well."""
 RANK = 1e-9
 """The stimulus counts as constant along a direction whose singular value is below this fraction of the largest singular value."""

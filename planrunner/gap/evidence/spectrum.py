@@ -34,8 +34,7 @@ OCTAVES = 12  # below half the sampling rate, down to which the remainder is div
 FINE = 5  # uppermost octaves, each of which has four bands
 UPPER = 0.999 / 8  # of the sampling rate: bands from here on define the white level, above all slow processes
 RESPONSE = -1
-"""Marks the coefficients of the response to a recorded motion. It stands where other coefficients have the order of their
-harmonic."""
+"""Marks the coefficients of the response to a recorded motion. This value is used instead of the order of a harmonic."""
 _DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the lower orders are removed
 
 

@@ -340,6 +340,7 @@ class ChannelWeights:
         return out if self._correlation is None else self._correlation.apart(out)
 
     def whiten(self, columns: Array) -> Array:
+        """Returns columns (M, P), given in SI units, after whitening, in the same shape."""
         out = self._within_segments(columns)
         if self._inverse is not None:
             means = columns[self._means] / self._root[:, None]
@@ -386,6 +387,8 @@ class ChannelWeights:
         return np.concatenate([self._means, others]), np.concatenate([means, columns[~own] * self.scale[others, None]])
 
     def project(self, columns: Array) -> Array:
+        """Returns columns (M, P), given in SI units, after whitening and without the part that the nominal parameters absorb, in the
+        same shape."""
         whitened = self.whiten(columns)
         return whitened - self.basis @ (self.basis.T @ whitened)
 

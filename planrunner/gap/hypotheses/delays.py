@@ -26,14 +26,14 @@ LATE = 0.02
 """Smallest delay that is corrected, s. It must also be at least `PERIODS` sampling periods."""
 PERIODS = 2.0
 LONGEST = 2.0
-"""Longest delay that is searched, s; at most a quarter of the segment."""
+"""Longest delay that the search considers, s. The search also considers no delay longer than a quarter of the segment."""
 FINEST = 0.005
 """Smallest step of the search, s."""
 HALVED = 0.5
-"""The sum of the squared residuals must fall to this fraction, at most, if the delay is taken into account."""
+"""A delay counts only if it reduces the sum of the squared residuals to at most this fraction."""
 ALIKE = 0.1
-"""A delay explains as much as another one if the sums of their squared residuals differ by at most this fraction of what the delay
-explains. Of such delays, as in a periodic motion, the shortest is the most probable."""
+"""Several delays may explain the data almost equally well, for example in a periodic motion. If the sums of squared residuals of
+such delays differ by at most this fraction of the explained part, the shortest delay is chosen."""
 SURE = 5.0
 """A delay, or a change of the delay, must exceed its standard uncertainty by this factor."""
 _ROUNDS = 3  # corrections, of which each measures what the one before left
