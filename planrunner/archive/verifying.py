@@ -132,7 +132,7 @@ class Examined:
 
     @property
     def basis(self) -> Basis:
-        """Returns the state of journal and seal that a new analysis is based on."""
+        """Returns the state of the journal and the seal, on which a new analysis is based."""
         assert self.scan is not None
         return Basis(self.scan.count, self.scan.head, self.seal_digest)
 

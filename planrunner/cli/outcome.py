@@ -86,7 +86,7 @@ def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | N
 def _check_standard(run: Path) -> tuple[JsonObject, bool]:
     """Reports on stderr the state of the check standard that a run measured. Returns this state as JSON data, and True if the
     standard is in control. If the state cannot be determined, the JSON data state null; the run is not affected. If the run did not
-    measure a check standard, the JSON data are empty."""
+    measure a check standard, the JSON data are empty and the second value is True."""
     from planrunner.tasks.check_standard import state_after
 
     try:

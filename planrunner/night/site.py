@@ -285,7 +285,8 @@ def _script(name: str, value: Json) -> bytes:
 
 
 def _archive_link(archive: Path, out: Path) -> str | None:
-    """Returns the path from the site to the archive, as a link; None if there is none, for example between two drives of Windows."""
+    """Returns the path from the site to the archive, as a link; None if there is no such path, for example between two Windows
+    drives."""
     try:
         way = os.path.relpath(archive.absolute(), out.absolute())
     except ValueError:

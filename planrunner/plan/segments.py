@@ -216,7 +216,8 @@ MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSI
 
 
 class MotionSpec(Record):
-    """Declares the motion of the sensor while it records: one of rate, rock, cycle and recorded. Without these, it is at rest."""
+    """Declares the motion while the sensor records: one of rate, rock, cycle and recorded. Without these keys, the sensor is at
+    rest."""
 
     rate: Quantity | None = optional(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY), "Constant rate about the rotation axis.", "300 deg/s"

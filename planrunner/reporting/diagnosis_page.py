@@ -90,8 +90,8 @@ class Named:
 
 
 def named_effects(found: Data) -> list[Named]:
-    """Returns the named effects in the order of the verdict. Of effects that the plan cannot distinguish, only the most probable is
-    included."""
+    """Returns the named effects in the order of the verdict. If the plan cannot distinguish several effects, only the most probable
+    effect is included."""
     open_ = "Most likely, but not certain: " if found["verdict"]["kind"] == "indistinguishable" else ""
     return [
         Named(

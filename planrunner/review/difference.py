@@ -362,8 +362,8 @@ def tendency(before: Mapping[str, Branch] | None, after: Mapping[str, Branch] | 
     """Determines whether a change of a limit tightens it, so that fewer values pass, or loosens it. An added limit counts as
     tightened, and a removed limit counts as loosened.
 
-    Bounds, rule, guard band and coverage are compared. A guarded limit accepts fewer values than a simple one. A wider guard band
-    or a higher coverage also accepts fewer values (JCGM 106:2012, 8.3).
+    Bounds, rule, guard band and coverage are compared. A limit with a guard band accepts fewer values than a limit without one. A
+    wider guard band or a higher coverage also accepts fewer values (JCGM 106:2012, 8.3).
     """
     if before is None or after is None:
         return "tightened" if before is None else "loosened"

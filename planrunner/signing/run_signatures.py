@@ -5,8 +5,9 @@ A signature is a DSSE envelope with an in-toto Statement v1 whose predicate is a
 files with which the run began, the journal, the lists of digests of analyses, and the earlier signatures. The seal and the lists
 contain the digests of all other files.
 
-Persons sign what they have examined (`PersonMeaning`); their signatures cover all files that exist at that time. A bench signs what
-it has made with its own key (`BenchMeaning`): the seal after it has recorded a run, and each analysis after it has evaluated a run.
+Persons sign what they have examined (`PersonMeaning`); their signatures cover all files that exist at that time. A bench uses its
+own key to sign what it has made (`BenchMeaning`): the seal after it has recorded a run, and each analysis after it has evaluated a
+run.
 """
 
 from __future__ import annotations

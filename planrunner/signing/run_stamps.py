@@ -59,8 +59,8 @@ def declared_stamps(found: Examined) -> Mapping[str, Json] | None:
 
 
 def stamped_seals(folder: GuardedFolder) -> set[str]:
-    """Returns the digests of all seals that, according to the time stamps in a run folder, were stamped. Raises `OSError` if a
-    stamp cannot be read."""
+    """Returns the digests of all seals that were stamped, according to the time stamps in a run folder. Raises `OSError` if a stamp
+    cannot be read."""
     found = set()
     for name in stamp_names(folder):
         if name.own is not None:

@@ -267,8 +267,8 @@ def _analyse(
     amendment: Amendment | None = None,
     workers: Workers = ALONE,
 ) -> _Made:
-    """Makes the analysis of a run without writing it. `kept`: True if it will be the next analysis of the run, so that its reports
-    show this number."""
+    """Makes the analysis of a run without writing it. `kept`: True if the result will be stored as the next analysis of the run;
+    the reports then show the number of this analysis."""
     reader = RunReader.open(run)
     same = checked is not None and (checked.plan_bytes, checked.bench_bytes) == (reader.plan_bytes, reader.bench_bytes)
     sound = checked if checked is not None and same else sound_run(reader)

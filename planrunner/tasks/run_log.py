@@ -80,7 +80,7 @@ class LogVerification:
 
 
 def log_of(archive: Path) -> RunLog | None:
-    """Returns the log of an archive; None if it has none. Raises `InputError` if it cannot be opened."""
+    """Returns the log of an archive; None if the archive has no log. Raises `InputError` if the log cannot be opened."""
     try:
         return RunLog.of(archive)
     except OSError as error:

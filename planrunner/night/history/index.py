@@ -404,7 +404,7 @@ def _pattern(text: str) -> tuple[str, str | None]:
 
 
 def literal(text: str) -> str:
-    """Escapes a text so that in a `RunFilter` it matches only itself."""
+    """Escapes a text so that a `RunFilter` with this text matches only equal values."""
     return "".join(f"\\{letter}" if letter in "*?\\" else letter for letter in text)
 
 
