@@ -34,7 +34,7 @@ MOST_RESULTS = 2**27
 @dataclass(frozen=True, slots=True)
 class Basis:
     """Describes the state of a run from which an analysis is made. `events`: number of events in the journal. `head`: digest of the
-    last of these events. The file also contains the digest of the seal if the run had a seal."""
+    last of these events. `seal`: digest of the seal; None if the run had no seal."""
 
     events: int
     head: str

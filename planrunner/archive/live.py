@@ -2,9 +2,9 @@
 prompts.
 
 The process that executes a run replaces `.live` about once a second and removes it at the end. A process that watches the run reads
-it, and writes `.answer` when a person has confirmed a prompt. The two files are not part of the record of the run: they are not
-flushed to the disk and not sealed, and a run does not depend on them. The files may come from other processes, so they are checked
-against a schema and a maximum size before they are used.
+this file, and writes `.answer` when a person has confirmed a prompt. The two files are not part of the record of the run: they are
+not flushed to the disk and not sealed, and a run does not depend on them. The files may come from other processes, so they are
+checked against a schema and a maximum size before they are used.
 """
 
 from __future__ import annotations

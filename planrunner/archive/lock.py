@@ -1,5 +1,5 @@
 """Uses a lock to ensure that a run folder has only one writer. When a process ends for any reason, the operating system releases
-its lock."""
+the lock of this process."""
 
 from __future__ import annotations
 

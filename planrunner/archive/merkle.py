@@ -1,7 +1,8 @@
 """Computes the Merkle tree of a log that only grows, with tree heads, inclusion proofs and consistency proofs (RFC 9162, section
 2.1).
 
-The symbols of RFC 9162 are used: MTH is the hash of a tree, PATH an inclusion proof, PROOF a consistency proof. Hashes are SHA-256.
+The symbols of RFC 9162 are used: MTH is the hash of a tree, PATH is an inclusion proof, and PROOF is a consistency proof. Hashes
+are SHA-256.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ def _mark(key: bytes, first: str) -> str:
 
 
 def _key(make: bool) -> bytes:
-    """Reads the key. If there is no key, the function makes one (`make` True) or returns empty bytes (`make` False). Raises
+    """Reads the key. If there is no key, the function makes a key if `make` is True; otherwise, it returns empty bytes. Raises
     `OriginUnknownError` if the key cannot be read or made."""
     path = state_folder()
     try:
@@ -119,7 +119,8 @@ def _key(make: bool) -> bytes:
 
 
 def _make_key(folder: GuardedFolder) -> None:
-    """Makes the key of this user. If two processes try this at the same time, the second waits and uses the key of the first."""
+    """Makes the key of this user. If two processes try this at the same time, the second process waits and uses the key that the
+    first process made."""
     with _alone(folder):
         if folder.entry(KEY) is not None:
             return

@@ -22,8 +22,8 @@ def asked_to_pause(run: GuardedFolder) -> bool:
 
 
 def take_back(run: GuardedFolder) -> bool:
-    """Ends a requested pause. Returns True if the run continues, because a pause was requested and a process still writes the run.
-    If the process has ended in the meantime, the run must be resumed."""
+    """Ends a requested pause. Returns True if a pause had been requested and a process still writes the run, so that the run
+    continues. If the process has ended in the meantime, the run must be resumed."""
     asked = asked_to_pause(run)
     run.remove(NAME)
     return asked and is_written(run)

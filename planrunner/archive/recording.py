@@ -130,10 +130,10 @@ class Find:
 
 @dataclass(frozen=True, slots=True)
 class RepeatedValues:
-    """Describes how often the samples of a channel repeat the sample before them, and on which values they do.
+    """Describes how often a sample of a channel is equal to the previous sample, and which values are repeated.
 
-    `values`: array of shape (n,), values of the first runs of equal samples, in the channel's unit. Parts of the segment in which
-    no sample repeats are left out. `share`: fraction of the samples that are equal to the sample before them.
+    `values`: array of shape (n,), values of the first sequences of equal samples, in the channel's unit. Parts of the segment
+    without repeated samples are left out. `share`: fraction of the samples that are equal to the previous sample.
     """
 
     values: Array
@@ -147,7 +147,7 @@ class RecordedSegment:
     `expected`: True if the segment was not recorded. The statistics of the segment are then predicted from the schedule: the
     scatter follows from the declared noise, and the means contain no noise. `finds`: findings of the screening; None if the segment
     has not been screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were
-    recorded, so that there are no samples to read. `repeats`: for each output that has been screened, how its samples repeat.
+    recorded, so that there are no samples to read. `repeats`: maps each screened output to its repeated values.
     """
 
     segment: Segment

@@ -378,8 +378,8 @@ def _below(folder: GuardedFolder, place: str) -> Iterator[tuple[str, bytes]]:
 
 
 def push_back(run: Path, analysis: Path) -> None:
-    """Writes everything that was added to the local copy of a remote run, including the given new analysis, to the remote run. Does
-    nothing if the run is not a copy. Raises the same errors as `push_run`."""
+    """Writes to a remote run everything that was added to its local copy, including the given new analysis. Does nothing if the run
+    is not a copy. Raises the same errors as `push_run`."""
     source = source_of_copy(run)
     if source is not None:
         push_run(run, source.rpartition("/")[0], including=f"{ANALYSES}/{analysis.name}")

@@ -66,7 +66,7 @@ class Witnessed:
 
 
 class Witness(Protocol):
-    """Obtains time stamps of the journal while it grows. The run does not wait for them."""
+    """Obtains time stamps of the journal while the journal grows. The run does not wait for these stamps."""
 
     def see(self, events: int, line: bytes, *, last: bool = False) -> None:
         """Tells the witness the number of acknowledged events in the journal, and the last line of the journal. `last`: True if the
@@ -80,8 +80,8 @@ class Witness(Protocol):
 
 
 class RunWriter:
-    """Writes a run folder; a folder has only one writer at a time. `create` and `reopen` make a writer. `close`, or the end of its
-    context, must close it."""
+    """Writes a run folder; a folder has only one writer at a time. `create` and `reopen` make a writer. A writer must be closed by
+    `close` or by the end of its context."""
 
     def __init__(
         self,

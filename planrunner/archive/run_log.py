@@ -6,9 +6,9 @@ or replaced run.
 
 A leaf of the tree is a line without its line feed. An entry counts when its line is complete. If a process is killed directly after
 it has written an entry, the head lacks this entry; the next entry brings the head up to date. A seal is entered into the log before
-it is written, so that every seal in the archive is in the log. If planrunner ends between these two steps, the run is sealed again
-when it is resumed; both entries then name the same journal. In addition, run.json contains the tree head from the time before the
-run. The runs therefore reveal a log that was removed or rewritten.
+the seal is written to the run folder, so that every seal in the archive is in the log. If planrunner ends between these two steps,
+the run is sealed again when it is resumed; both entries then name the same journal. In addition, run.json contains the tree head
+from the time before the run. The runs therefore reveal a log that was removed or rewritten.
 """
 
 from __future__ import annotations

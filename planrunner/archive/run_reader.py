@@ -110,8 +110,8 @@ class RunReader:
         return tuple(self.state.rejected)
 
     def warnings(self, planned: int | None = None) -> list[str]:
-        """Returns warnings about unusual events of the run that a reader of its results must know. `planned`: number of planned
-        segments; by default, the number in the journal."""
+        """Returns warnings about unusual events of the run that a reader of the results must know about. `planned`: number of
+        planned segments; by default, the number in the journal."""
         planned = self.state.planned if planned is None else planned
         warnings = [f"Fault during the run: {text}" for text in self.state.failures]
         held = len(self.acknowledged())
@@ -227,7 +227,7 @@ T = TypeVar("T")
 
 def ahead(items: Iterator[T]) -> Iterator[T]:
     """Yields the given items in their order. Another thread makes the next item while the present one is used. If `items` raises an
-    exception, it is raised in place of the item that failed."""
+    exception, the exception is raised in place of the item that failed."""
     from concurrent.futures import ThreadPoolExecutor
 
     end = object()

@@ -1,8 +1,8 @@
 """Stores the time stamps in a run folder. `stamps/<number>-<what>.tsr` contains the reply of an authority in DER (RFC 3161).
 
 `0001-after-12.tsr` stamps the journal after 12 events: it contains the digest of line 12. `0004-seal-<digest>.tsr` stamps the seal.
-At this time, the journal has ended and cannot contain the digest of the stamp. The name of the stamp's file therefore contains the
-first digits of the SHA-256 of this file.
+When the seal is stamped, the journal has ended and cannot contain the digest of the stamp. The name of the stamp's file therefore
+contains the first digits of the SHA-256 of this file.
 """
 
 from __future__ import annotations

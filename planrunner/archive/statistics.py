@@ -46,7 +46,7 @@ class MotionCourse:
     `columns`: array of shape (c, p), values of the p functions that make up the periodic signal, each averaged over c short
     intervals. Weighted by the number of samples in each interval, the columns are orthonormal and have zero mean. `samples`: array
     of shape (c,), number of samples in each interval; zero while the table is not in its steady motion. `products`: array of shape
-    (p, p), inner products of the p functions at single samples, which averages over intervals would attenuate."""
+    (p, p), inner products of the p functions at single samples. Averages over intervals would attenuate these products."""
 
     columns: Array
     samples: Array
@@ -307,7 +307,7 @@ class _Gathered:
 
     def _course(self) -> MotionCourse | None:
         """Returns the periodic signal that the motion causes, determined from averages over a few samples; None if the motion
-        causes none or there are too few samples."""
+        causes no periodic signal or there are too few samples."""
         if not self.follows or self.count < 3:
             return None
         interval = (self.end - self.start - self.gap) / max(self.count - 2, 1)

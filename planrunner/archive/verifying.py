@@ -433,8 +433,8 @@ def _tell_clock(found: Examined, message: str) -> None:
 
 
 def _check_samples(found: Examined, recorded: RecordedEntries, samples: SampleCheck) -> None:
-    """Checks that every file of samples in the journal exists and has the recorded size. On request, also checks its digest and
-    contents."""
+    """Checks that every file of samples in the journal exists and has the recorded size. On request, also checks the digest and the
+    contents of the file."""
     assert found.state is not None
     known: dict[str, Part] = {}
     for part in found.state.files():

@@ -167,7 +167,8 @@ threads. A process without threads can also fork processes that share its work."
 
 
 def _start_no_threads(command: str) -> None:
-    """Prevents numpy and pyarrow from starting threads that a command does not need, except if the user has set their options."""
+    """Prevents numpy and pyarrow from starting threads that a command does not need, unless the user has set the options for these
+    threads."""
     if command in _ONE_THREAD and "numpy" not in sys.modules:  # which reads it when it is imported
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         os.environ.setdefault("JE_ARROW_MALLOC_CONF", "background_thread:false")

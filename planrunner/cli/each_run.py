@@ -1,5 +1,5 @@
-"""Applies a command to several run folders. Each folder is processed separately. The exit code is the highest one of all runs, and
-JSON output is a list with one entry for each run."""
+"""Applies a command to several run folders. Each folder is processed separately. The exit code is the highest exit code of all
+runs, and JSON output is a list with one entry for each run."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def each_run(runs: Sequence[Path], work: Callable[[Path], Done], *, as_json: boo
     """Performs the work for every run. If the work fails for one run, the function continues with the next run. The failure is
     printed; with `--json`, it is also in `findings` of the run's entry.
 
-    With several runs, the name of each run precedes its output. The exit code is the highest of all runs.
+    With several runs, the name of each run precedes its output. The exit code is the highest exit code of all runs.
     """
     runs = run_folders(runs)
 

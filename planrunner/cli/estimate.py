@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _estimate(folder: Path, workers: Workers, *, as_json: bool) -> Done:
-    """Makes the estimates of one run and shows the progress of reading it. The workers share the Monte Carlo draws."""
+    """Makes the estimates of one run and shows the progress of reading the samples. The workers share the Monte Carlo draws."""
     from planrunner.tasks.estimate import evaluate_run
 
     with reading_progress() as notice:

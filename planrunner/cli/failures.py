@@ -14,8 +14,8 @@ from planrunner.cli.printing import print_findings
 
 @dataclass(frozen=True, slots=True)
 class CommandFailure:
-    """A failure of a command. `text`: text that is printed on the terminal instead of the findings, if it contains more than these.
-    `trace`: traceback of an unexpected exception, until it has been saved (see `saved`)."""
+    """A failure of a command. `text`: text that is printed on the terminal instead of the findings, because it contains more than
+    the findings. `trace`: traceback of an unexpected exception, until it has been saved (see `saved`)."""
 
     code: int
     findings: tuple[Finding, ...]
@@ -64,8 +64,8 @@ _INTERNAL = _Known(exit_codes.FAULT, "internal-error")
 
 
 def failure_of(error: Exception) -> CommandFailure:
-    """Makes the failure that reports an exception. The traceback of an unexpected exception is saved in a temporary file, which the
-    message names."""
+    """Returns the failure that reports an exception. The traceback of an unexpected exception is saved in a temporary file, which
+    the message names."""
     return unsaved_failure_of(error, COMMAND_LINE.file).saved()
 
 

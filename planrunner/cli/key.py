@@ -75,7 +75,7 @@ def _new_for_bench(args: argparse.Namespace) -> int:
 
 
 def _write_public(private: Path, line: str) -> None:
-    """Writes the public key next to its private key. If this fails, it removes the private key, because a private key without its
+    """Writes the public key next to its private key. If this fails, removes the private key, because a private key without its
     public key is useless."""
     try:
         write_new(private.with_name(f"{private.name}.pub"), line.encode())

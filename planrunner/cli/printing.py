@@ -84,7 +84,7 @@ def _cell(char: str, encoding: str) -> tuple[str, int]:
 
 def _fitted(cells: list[tuple[str, int]], first: int, last: int, room: int) -> tuple[str, int, int]:
     """Returns the part of a line that fits into `room` columns and contains the cells from `first` to `last`. Also returns the
-    number of columns before these cells, and the number of columns of the cells."""
+    number of columns before these cells, and the number of columns that these cells occupy."""
     widths = [width for _, width in cells]
     begin, end = 0, len(cells)
     if sum(widths) > room:

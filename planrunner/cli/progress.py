@@ -1,5 +1,5 @@
-"""Shows the progress and the remaining time of runs, and of reading long recordings. On a terminal, it shows a bar; elsewhere, it
-prints a line from time to time. With the option for quiet output, it shows nothing.
+"""Shows the progress and the remaining time of runs, and of reading long recordings. A terminal shows a bar. Otherwise, a line is
+printed from time to time. With the option for quiet output, nothing is shown.
 """
 
 from __future__ import annotations

@@ -88,9 +88,9 @@ CHECK_STANDARD = "check standard"
 def expand_suite(
     suite: Suite, folder: Path, log: Findings, standards: Mapping[str, StandardFirst] = MappingProxyType({})
 ) -> tuple[PlannedTest, ...]:
-    """Makes the tests of a suite: first those that measure check standards, then the others in the order of the file. `folder`:
-    folder of the suite. `standards`: maps each bench whose check standard is measured first to the description of this check
-    standard. Unknown names, plans that wait for each other, and plans without a test become findings."""
+    """Makes the tests of a suite: first the tests that measure check standards, then all other tests in the order of the file.
+    `folder`: folder of the suite. `standards`: maps each bench whose check standard is measured first to the description of this
+    check standard. Unknown names, plans that wait for each other, and plans without a test become findings."""
     before = log.raised
     _check_names(suite, log)
     _check_cycles(suite, log)
@@ -309,7 +309,7 @@ def known_failure(test: str, failures: Sequence[KnownFailure], kind: str, today:
 
 
 def check_known_failures(suite: Suite, tests: Sequence[PlannedTest], today: date, log: Findings) -> None:
-    """Reports known failures that match no test, that state a date which does not exist, or that have expired."""
+    """Reports known failures that match no test, state a nonexistent date, or have expired."""
     names = [test.name for test in tests]
     for entry in suite.known_failures:
         for position, pattern in enumerate(entry.tests):

@@ -85,5 +85,5 @@ def _seconds(value: float) -> str:
 
 
 def _text(text: str) -> str:
-    """Replaces the characters of a text that XML 1.0 cannot contain."""
+    """Replaces characters that XML 1.0 does not permit."""
     return _NOT_XML.sub("�", text)

@@ -123,7 +123,7 @@ def build_site(index: Index, out: Path, notice: Announce | None = None) -> Built
 
 
 def _night(runs: Sequence[RunRow]) -> str:
-    """Returns the earliest moment from which the wall display shows runs, which is a fixed time before the newest run. `runs`: all
+    """Returns the moment from which the wall display shows runs. This moment is a fixed time before the newest run. `runs`: all
     runs, the newest first."""
     if not runs:
         return ""
@@ -131,8 +131,8 @@ def _night(runs: Sequence[RunRow]) -> str:
 
 
 def _nights(archive: Path) -> Iterator[Json]:
-    """Yields the newest nights, each with the results of its tests and the reasons for these. A damaged record is omitted; `verify`
-    reports it."""
+    """Yields the newest nights, each with the results of its tests and the reasons for these results. A damaged record is omitted;
+    `verify` reports it."""
     from jsonschema import Draft202012Validator
 
     validator = Draft202012Validator(formats.schema("night"))

@@ -1,4 +1,4 @@
-"""Converts the motion in a plan to the motion of a schedule, with the checks that concern only motion.
+"""Converts the motion in a plan to the motion of a schedule. Also makes the checks that concern only motion.
 
 Cycles of turns and stops are checked move by move. Each move must start where the previous one ended and end at its stated
 position, and the cycle must not wind up cables.
@@ -31,8 +31,8 @@ _FORMS = "rate, rock, cycle and recorded"
 
 
 def motion_of(state: State, marks: Mapping[str, Mark], dwell: float | None, log: Findings) -> Motion | None:
-    """Returns the motion of one segment; None if it was not valid and a finding was added. `dwell`: planned dwell, s; None if it is
-    not known."""
+    """Returns the motion of one segment; None if the motion is not valid, in which case a finding is added. `dwell`: planned dwell,
+    s; None if it is not known."""
     if state.rate is not None:
         return Spin(state.rate.value) if state.rate.value else Rest()
     motion = state.motion

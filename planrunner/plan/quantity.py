@@ -71,8 +71,8 @@ class Quantity:
 
     @property
     def shape(self) -> str:
-        """Returns the name of the distribution in an uncertainty budget, which is Student's t instead of normal if the degrees of
-        freedom are finite."""
+        """Returns the name of the distribution in an uncertainty budget. If the degrees of freedom are finite, this is Student's t
+        instead of normal."""
         return "t" if math.isfinite(self.degrees_of_freedom) and self.distribution == "normal" else self.distribution
 
     def to(self, unit_text: str) -> float:
@@ -197,7 +197,7 @@ def _parts(text: str) -> re.Match[str] | None:
 @cache
 def _grammar(latin: bool) -> re.Pattern[str]:
     """Returns the regular expression that `_parts` uses. `latin`: True for a text of Latin-1 characters only, which is the usual
-    case. A smaller expression is then enough; compiling the full one takes milliseconds."""
+    case. A smaller expression is then enough; compiling the full expression takes milliseconds."""
     return re.compile(re.sub(r"\\u(?!00)[0-9a-f]{4}|[^\x00-\xff]", "", _PARTS) if latin else _PARTS)
 
 

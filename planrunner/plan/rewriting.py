@@ -2,7 +2,7 @@
 preserved.
 
 An orientation is written as the nearest orientation in words, followed by turns about the sensor's axes, so that a reviewer can
-imagine it.
+picture the orientation.
 """
 
 from __future__ import annotations
@@ -191,8 +191,8 @@ def with_rates(text: str, place: tuple[int, int], rates: Sequence[str], turns: S
 
 
 def appended(text: str, node: yaml.CollectionNode, more: str, last: yaml.Node, dash: str = "") -> tuple[int, str]:
-    """Prepares appending an item to a mapping or list. Returns the position at which to insert it in the text, and the text to
-    insert."""
+    """Prepares appending an item to a mapping or list. Returns the position in the text at which the item must be inserted, and the
+    text to insert."""
     begin = node.start_mark.index
     end = begin + len(text[begin : last.end_mark.index].rstrip())
     if node.flow_style:

@@ -18,9 +18,9 @@ one rule:
 - any other quantity has a sign only below zero, as engineers usually write it (`20degC`, `-40degC`);
 - zero has no sign (`R0`).
 
-An alternative would be signs only in sweeps that contain both signs. This alternative was rejected because of two changes of names:
-`20degC` would be renamed when -40 degC is added, and `R+10` would become `R10` when a design splits a sweep into one sweep for each
-rate.
+An alternative would be signs only in sweeps that contain both signs. This alternative was rejected because it would rename
+segments: `20degC` would be renamed when -40 degC is added, and `R+10` would become `R10` when a design splits a sweep into one
+sweep for each rate.
 """
 
 from __future__ import annotations
@@ -216,8 +216,7 @@ MOVE = rf" *(?P<start>{POSITION}) +(?P<turn>{_TURN}) *(?:deg|°)? +(?P<end>{POSI
 
 
 class MotionSpec(Record):
-    """Declares the motion while the sensor records: one of rate, rock, cycle and recorded. Without these keys, the sensor is at
-    rest."""
+    """Declares the motion while the sensor records: one of rate, rock, cycle and recorded. Without these keys, the sensor is at rest."""
 
     rate: Quantity | None = optional(
         QuantityOf("angular rate", elsewhere=RATE_UNCERTAINTY), "Constant rate about the rotation axis.", "300 deg/s"

@@ -1,8 +1,8 @@
 """Defines the units. The library pint interprets the texts of units, using the project's own definitions.
 
 The project has its own definitions for three reasons: in this field `g` is standard gravity, not gram; an angle is a dimension, so
-that a frequency in Hz differs from a rate in deg/s; and outputs are in pulses. Common units are listed in `_DAILY`, so that
-checking a plan need not import pint; a test compares the list with pint.
+that a frequency in Hz differs from a rate in deg/s; and outputs are in pulses. Common units are listed in `_DAILY`, so that the
+check of a plan does not need to import pint; a test compares the list with pint.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Makes the data for the template of a certificate, except those that the data of the report already contain. All data are plain
-texts, divided into parts that catalogues can translate.
+"""Prepares the data that the template of a certificate needs in addition to the data of the report. All data are plain texts,
+divided into parts that catalogues can translate.
 
 The wording is in the template; names, figures and dates are prepared here. A missing value is an empty text, which the page shows
-as not stated.
+as "not stated".
 """
 
 from __future__ import annotations

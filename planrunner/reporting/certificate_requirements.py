@@ -1,6 +1,6 @@
 """Checks plan, bench and run information against the requirements of ISO/IEC 17025:2017 for calibration certificates.
 
-`ASKED` lists the run information that certificates use by name. docs/certificates.md shows where each item appears on the page.
+`ASKED` lists, by name, the run information that certificates use. docs/certificates.md shows where each item appears on the page.
 
 The module also lists the references to which the results of a bench are traceable: its instruments and its site, with their
 calibrations.

@@ -300,7 +300,7 @@ def expected_words(found: Data) -> str:
 
 
 def priors_words(found: Data) -> str:
-    """States the prior probabilities behind the result, if the diagnosis contains them."""
+    """States the prior probabilities on which the result is based, if the diagnosis contains them."""
     listed = [f"{name} {p:.2f}" for name, p in found.get("priors", {}).items()]
     return f"Priors: {', '.join(listed)}." if listed else ""
 

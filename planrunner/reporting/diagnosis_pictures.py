@@ -138,8 +138,8 @@ def _spectrum(name: str, one: Data) -> Plot:
 
 
 def heat_svg(heat: Data, key: str) -> str:
-    """Returns a heat map of the gap, with one row for each channel and one column for each segment. White means that there is only
-    noise; a darker field is a larger gap, on a logarithmic scale."""
+    """Returns a heat map of the gap, with one row for each channel and one column for each segment. White represents noise alone; a
+    darker field represents a larger gap, on a logarithmic scale."""
     from matplotlib.colors import LinearSegmentedColormap
 
     channels, segments = list(heat["channels"]), list(heat["segments"])
@@ -198,8 +198,8 @@ def posterior_svg(hypotheses: Sequence[tuple[str, float]], key: str) -> str:
 
 
 def confusability_svg(alike: Data, key: str) -> str:
-    """Returns a map of the confusability in hundredths. Each row is an effect that causes a signature, and each column is an effect
-    that reproduces this signature."""
+    """Returns a map of the confusability in hundredths. Each row represents an effect that causes a signature. Each column
+    represents an effect that reproduces this signature."""
     from matplotlib.colors import LinearSegmentedColormap
 
     names = list(alike["effects"])

@@ -220,8 +220,8 @@ def _no_drift(found: Trend) -> list[str]:
 
 
 def plot_lines(found: Trend) -> list[str]:
-    """Returns the values over time as a plot of text characters: `●` a value, `○` a value with an alarm, `─` the mean, `┄` the
-    Shewhart limits of the newest value."""
+    """Returns the values over time as a plot of text characters: `●` marks a value, `○` marks a value with an alarm, `─` marks the
+    mean, and `┄` marks the Shewhart limits of the newest value."""
     if len(found.values) < 2:
         return []
     times = [_seconds(point.run) for point in found.points]

@@ -1,4 +1,5 @@
-"""Provides the languages of pages: English from the templates, and other languages by the catalogues of translations in `locales/`.
+"""Provides the languages of pages: English from the templates, and other languages from the catalogues of translations in
+`locales/`.
 
 Catalogues are read as gettext PO text. Pages therefore show exactly the texts that reviewers read, and nothing has to be compiled.
 A placeholder of a page template can only have the form `%(name)s`, so that no template can request a width that would fill the
@@ -56,9 +57,9 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
 
 
 def spoken(language: str) -> dict[str, Callable[..., str]]:
-    """Returns the functions that Jinja's i18n extension calls, and the function `term`, which translates texts that have a template
-    in the data, such as the description of a coefficient. Text without a template or without a translation stays as it is. The
-    result is escaped like other text."""
+    """Returns the functions that Jinja's i18n extension calls. Also returns the function `term`, which translates texts whose
+    templates are in the data, such as the description of a coefficient. Text without a template or without a translation stays as
+    it is. The result is escaped like other text."""
     known = translations(language)
 
     def gettext(message: str, /, **values: Json) -> str:

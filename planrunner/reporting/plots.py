@@ -136,9 +136,10 @@ def _draw_courses(axes: Axes, plot: Plot) -> None:
 
 
 def thinned(values: Array) -> NDArray[np.intp]:
-    """Returns the indices of the values of a curve that are drawn. The curve has n values. A curve of up to `MOST_POINTS` values is
-    drawn completely. A longer curve is divided into many equal intervals. Only some values are drawn: the first and last value of
-    the curve, and the lowest, the highest and the first non-finite value of each interval. Thus, no peak and no gap is lost."""
+    """Selects the values of a curve that are drawn; returns their indices. The curve has n values. A curve of up to `MOST_POINTS`
+    values is drawn completely. A longer curve is divided into many equal intervals. Only some values are drawn: the first and last
+    value of the curve, and the lowest, the highest and the first non-finite value of each interval. Thus, no peak and no gap is
+    lost."""
     if len(values) <= MOST_POINTS:
         return np.arange(len(values))
     kept = {0, len(values) - 1}
@@ -187,7 +188,8 @@ def correlation(covariance: Array) -> Array:
 
 
 def correlation_svg(names: Sequence[str], covariance: Array, key: str) -> str:
-    """Returns a heat map of the correlations in hundredths: positive values are blue, negative ones orange, and zero is white."""
+    """Returns a heat map of the correlations in hundredths: positive values are blue, negative values are orange, and zero is
+    white."""
     from matplotlib.collections import PolyCollection
     from matplotlib.colors import LinearSegmentedColormap
 

@@ -1,4 +1,4 @@
-"""Rounds numbers for readers. An uncertainty is rounded to two significant digits, and its value to the same last digit (JCGM
+"""Rounds numbers for readers. An uncertainty is rounded to two significant digits, and its value to the same decimal place (JCGM
 100:2008, 7.2.6).
 
 -1.2346 ± 0.0021        (1.5000 ± 0.0012)e-07        12400 ± 1300

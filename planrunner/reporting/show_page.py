@@ -95,7 +95,8 @@ def show_view(context: ShowContext) -> JsonObject:
 
 def show_json(schedule: Schedule, designs: Mapping[str, Design]) -> JsonObject:
     """Returns a schedule and its expected results as plain JSON data. The keys are total_s, segments, and predicted, which has one
-    entry for each estimate. Keys name the units of their values. The value None means that the plan does not specify it."""
+    entry for each estimate. Keys name the units of their values. The value None means that the plan does not specify the
+    quantity."""
     return {
         "total_s": schedule.total,
         "segments": [_segment_json(item) for item in schedule.segments],

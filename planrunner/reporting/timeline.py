@@ -19,7 +19,8 @@ PHASES = (("reaching", "#c9d1d9"), ("soaking, settling", "#f0c48a"), ("recording
 
 @dataclass(frozen=True, slots=True)
 class SegmentTimes:
-    """The times [s] since the run began at which a segment begins, its state is reached, its recording begins, and it ends."""
+    """The times [s] at which a segment begins, reaches its state, begins to record, and ends. The times are measured from the
+    beginning of the run."""
 
     segment: Segment
     leave: float

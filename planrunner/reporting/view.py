@@ -199,8 +199,8 @@ def table_view(table: Table) -> JsonObject:
 
 def _guide(roles: Sequence[Role], index: int) -> int | None:
     """Returns the index of the column that determines the rounding of the column with the number `index`. If the column itself
-    contains uncertainties, this is its own index; otherwise, it is the index of the next column of uncertainties to the right, or
-    None if there is no such column."""
+    contains uncertainties, the result is its own index. Otherwise, the result is the index of the next column of uncertainties to
+    the right, or None if there is no such column."""
     if not (roles[index] is Role.VALUE or roles[index].uncertain):
         return None
     return next((place for place in range(index, len(roles)) if roles[place].uncertain), None)

@@ -33,8 +33,8 @@ def behind_number(unit: str) -> str:
 
 
 def rule(name: str, factor: float, coverage: float) -> str:
-    """Returns a decision rule in words. If the guard band is not U, or the coverage probability is not 95 %, the text also states
-    this."""
+    """Returns a decision rule in words. If the guard band differs from U, or the coverage probability differs from 95 %, the text
+    also states this."""
     if name != "guarded" or math.isnan(factor):
         return name
     band = [] if factor == 1 else [f"w = {number(factor)}·U"]
@@ -127,7 +127,7 @@ def motion(what: Motion) -> str:
 
 
 def orientation(segment: Segment) -> str:
-    """Returns the directions of the sensor's axes in words: as written in the plan or, if the plan does not write them, derived
+    """Returns the directions of the sensor's axes in words: as written in the plan or, if the plan does not state them, derived
     from the attitude."""
     if segment.orientation:
         return segment.orientation

@@ -54,8 +54,8 @@ def approvals_folder(plan: Path) -> Path:
 
 
 def read_approvals(folder: Path) -> tuple[ApprovalRecord, ...]:
-    """Reads all approvals and withdrawals in a folder; returns none if the folder does not exist. Other files in the folder are
-    ignored.
+    """Reads all approvals and withdrawals in a folder; the result is empty if the folder does not exist. Other files in the folder
+    are ignored.
 
     A file that cannot be read becomes a `DamagedApproval`. Raises `InputError` if the folder itself cannot be read.
     """
@@ -164,7 +164,8 @@ class KeptApprovals:
 
 
 def _relative(path: str, runs: Path) -> str:
-    """Returns a path relative to the folder of the runs. If the two are on different drives, the result is only the file name."""
+    """Returns a path relative to the folder of the runs. If the path and this folder are on different drives, the result is only
+    the file name."""
     try:
         found = os.path.relpath(os.path.realpath(path), os.path.realpath(runs))
     except ValueError:

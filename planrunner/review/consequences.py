@@ -1,5 +1,5 @@
-"""Determines the consequences of a change of a plan before anything runs. These are changes of the time, of predicted
-uncertainties, of the terms that can be determined, of the demands on the bench, of limits, and of findings.
+"""Determines the consequences of a change of a plan before anything runs. The consequences are changes of the planned time, of
+predicted uncertainties, of the terms that can be determined, of the demands on the bench, of limits, and of findings.
 
 All data come from two checks, one for each plan on its bench. Nothing is estimated again in this module.
 """

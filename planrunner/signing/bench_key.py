@@ -57,8 +57,8 @@ def bench_signer(public: PublicKey) -> Signer:
 
 
 def new_bench_key(name: str) -> tuple[Path, PrivateKey]:
-    """Makes a new key without a passphrase in the folder of signing keys; returns its file. Raises `InputError` if the file cannot
-    be written, and `BenchKeyError` if there is no folder."""
+    """Makes a new key without a passphrase in the folder of signing keys. Returns the path of its file, and the key. Raises
+    `InputError` if the file cannot be written, and `BenchKeyError` if there is no folder."""
     folder = keys_folder()
     try:
         make_private(folder)

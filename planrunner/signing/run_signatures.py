@@ -324,8 +324,8 @@ def _read(file: str, envelope: Envelope) -> tuple[dict[str, str], RunSignature, 
 
 
 def _difference(folder: GuardedFolder, file: str, subjects: Mapping[str, str], run: str, *, earlier: bool) -> str:
-    """Describes the first difference between the signed digests and the present files in words; empty if there is none. Analyses
-    and signatures that were added later are not a difference.
+    """Describes in words the first difference between the signed digests and the present files; empty if there is no difference.
+    Analyses and signatures that were added later are not a difference.
 
     `earlier`: True if the signature covers a seal that the run had before it was reopened. In this case, the present seal and
     journal may differ from the signed files, because the journal contains the digest of the earlier seal.

@@ -34,8 +34,8 @@ _UNCHANGED = 1e-6
 
 
 def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
-    """Returns the message and the hint of a finding about wrong axes. `axes`: for each of the gyros x, y, z, the axis in the frame
-    of the accelerometers about which the gyro actually measures."""
+    """Returns the message and the hint of a finding about wrong axes. `axes`: the actual input axes of the gyros x, y and z, in the
+    frame of the accelerometers."""
     turns = ", ".join(f"gyro_{gyro} turns about {axis}" for gyro, axis in zip("xyz", axes, strict=True))
     return (
         f"Gyros and accelerometers have different axes. In the axes of the accelerometers: {turns}.",
@@ -44,7 +44,7 @@ def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
 
 
 def _quoted(text: str) -> str:
-    """Returns a text as a value in YAML, with quotes if it needs them."""
+    """Returns a text as a value in YAML, in quotes if they are necessary."""
     return text if re.fullmatch(r"[A-Za-z_][A-Za-z0-9_./]*", text) else "'" + text.replace("'", "''") + "'"
 
 

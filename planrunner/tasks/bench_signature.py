@@ -51,8 +51,8 @@ def key_of(bench: Bench) -> PublicKey | None:
 
 def check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
     """Adds an error if the public key in the bench file cannot be read. `key_needed`: True if a run on this computer may follow the
-    check. In this case, a warning is added if the private key is not available. This is not an error, because a run is worth more
-    than its signature."""
+    check. In this case, a warning is added if the private key is not available. A missing private key is not an error, because a
+    run is worth more than its signature."""
     if bench.signing is None:
         return
     mark = bench.signing.at("key")

@@ -234,7 +234,7 @@ def _number_of(analysis: StoredAnalysis) -> str | None:
 
 
 def not_before(shown: CertificateFacts, certified: RunReader, reader: RunReader) -> list[Finding]:
-    """Returns the reason why a run cannot be the run before the adjustment: the run is the certified run itself, or was made with
+    """Returns the reason why a run cannot serve as the run before the adjustment: it may be the certified run itself, or a run of
     another item. Returns an empty list if neither is the case."""
     if (reader.run["run"], reader.run["created"]) == (certified.run["run"], certified.run["created"]):
         message = "this is the run to be certified; it cannot also be the run before the adjustment"

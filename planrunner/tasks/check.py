@@ -170,11 +170,11 @@ def check_plan(
 
     `plan_file`: path of the plan file, or its contents as a `Document`. The bench file that a plan names is searched for in the
     folder of the plan file; for a `Document`, it is searched for in the folder that the document's name contains
-    (`Document.shown`). Approvals are searched for only if `plan_file` is a path, and then next to the file. A `Document` can
-    therefore pass the checks, but it does not run on a bench that requires approvals. `bench`: the bench to use instead of the one
-    in the plan: the name of a shipped bench, a path relative to the working folder, or a `Document`. `today`: the day on which
-    calibrations must be valid; by default, the current day. `parameters`: values for parameters of the plan. Findings about such a
-    value state where the value was given.
+    (`Document.shown`). Approvals are searched for only if `plan_file` is a path. They are searched for next to this file. A
+    `Document` can therefore pass the checks, but it does not run on a bench that requires approvals. `bench`: the name of a shipped
+    bench, a path relative to the working folder, or a `Document`; this bench replaces the bench in the plan. `today`: the day on
+    which calibrations must be valid; by default, the current day. `parameters`: values for parameters of the plan. Findings about
+    such a value state where the value was given.
     """
     file = plan_file.shown if isinstance(plan_file, Document) else str(plan_file)
     checked = Checked(file, Findings(), {name: given.value for name, given in parameters.items()})

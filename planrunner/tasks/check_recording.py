@@ -1,4 +1,4 @@
-"""Checks the recording that a plan plays back, before the run: reads the whole file, then tries every estimate.
+"""Before a run, checks the recording that the plan plays back: reads the whole file, then tries every estimate.
 
 The findings are added to the findings about the plan. No results are kept. The check shows only whether a run would be completed.
 """

@@ -323,8 +323,8 @@ def _base(recorded: Recorded, simulation: str | None) -> Sound:
 
 
 def _absent(nominal: Sequence[str], stated: Stated) -> Stated:
-    """Returns entries that remove certain effects from a simulation: those that act in every simulated world but not in the nominal
-    simulation of the diagnosis."""
+    """Returns entries that remove certain effects from a simulation: the effects that act in every simulated world but not in the
+    nominal simulation of the diagnosis."""
     from planrunner.error_model.effects.interface import InEveryWorld, effect_named
 
     known = {*nominal, *(name for name, _ in stated)}

@@ -440,7 +440,8 @@ def _name_outliers(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
 
 
 def _outputs(plan: Plan) -> tuple[str, ...]:
-    """Returns the outputs to analyse; empty means all. Raises `InputError` for an output that the plan's sensor does not have."""
+    """Returns the outputs to analyse; an empty result means all outputs. Raises `InputError` for an output that the plan's sensor
+    does not have."""
     spec, known = plan.diagnosis, plan.sensor.outputs
     if spec is None or not spec.outputs:
         return known

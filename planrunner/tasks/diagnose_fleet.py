@@ -105,9 +105,8 @@ class Attributed:
 class FleetDiagnosis:
     """Contains the diagnosis of several runs together.
 
-    `effects`: the effects that were fitted in every run in addition to the nominal terms. `not_attributed`: for each effect that a
-    run names but that is not attributed, the reason for this. `shared`: amplitudes that all devices of a production lot have in
-    common.
+    `effects`: the effects that were fitted in every run in addition to the nominal terms. `not_attributed`: maps each effect that a
+    run names but that is not attributed to the reason. `shared`: amplitudes that all devices of a production lot have in common.
     """
 
     origins: tuple[RunOrigin, ...]
@@ -433,10 +432,10 @@ def _opened(run: Path) -> _Opened:
 
 
 def _origins(runs: Sequence[Path], table: Path | None, *, skip: bool) -> list[RunOrigin | Obstacles]:
-    """Returns every run with the names of its device, bench and occasion. If these cannot be determined for a run, its obstacles
-    are returned instead. The names come from the user's table and, if it does not state them, from the run folder. `skip`: see
-    `_attempted`. Raises `InputError` for a run that is given twice and for a table with errors. If `skip` is False, also raises
-    it with all obstacles."""
+    """Returns every run with the names of its device, bench and occasion. If these names cannot be determined for a run, the
+    obstacles are returned instead. The names come from the user's table and, if it does not state them, from the run folder.
+    `skip`: see `_attempted`. Raises `InputError` for a run that is given twice and for a table with errors. If `skip` is False,
+    also raises `InputError` with all obstacles."""
     log = Findings()
     resolved = [run.resolve() for run in runs]
     for index, run in enumerate(runs):
@@ -680,7 +679,7 @@ def _one_attributed(
     origins: Sequence[RunOrigin], amplitudes_: int, given: tuple[AmplitudeKey, Sequence[tuple[int, float, float]]]
 ) -> Attributed:
     """Attributes one amplitude to its sources. `amplitudes_`: number of all amplitudes that are examined; the test for changes
-    takes this number into account. After a change, a device or bench is treated as a new one."""
+    takes this number into account. After a change, a device or bench is treated as a new device or bench."""
     from threadpoolctl import threadpool_limits
 
     key, listed = given

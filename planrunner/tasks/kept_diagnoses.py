@@ -1,4 +1,4 @@
-"""Stores the results of diagnoses of sealed runs on this computer. After the next night, only the new runs must be diagnosed.
+"""Stores the results of diagnoses of sealed runs on this computer. After the next night, only the new runs need to be diagnosed.
 
 The diagnosis of a run depends on the run, on the program with its libraries and plug-ins, and on the options. The name of a
 result file is a digest of all three, so a change to any of them leads to a different file. The files are in a folder that only

@@ -33,8 +33,8 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
     """Adds an estimate to the plan of a diagnosis. For each output, this estimate contains the named effects and the terms that
     the simulation of the output fits.
 
-    The result is a checked plan: its text is in `plan_bytes`, and the check shows whether its segments can separate the effects.
-    Raises `InputError` if none of the named effects can be estimated.
+    The result is a checked plan: its text is in `plan_bytes`, and the check shows whether the segments of the plan can separate the
+    effects. Raises `InputError` if none of the named effects can be estimated.
     """
     recorded, named = made.recorded, made.diagnosis.verdict.named
     sound, where = recorded.sound, Mark(recorded.where)

@@ -386,8 +386,8 @@ class _Night:
         return NightResult(self._folder.path, self._record.to_json(), code, self._trouble)
 
     def _diagnose(self) -> None:
-        """Diagnoses the runs of the night together with recent runs. The diagnosis is not a test: the results of the night stand
-        even if it fails."""
+        """Diagnoses the runs of the night together with recent runs. The diagnosis is not a test: the results of the night remain
+        valid even if the diagnosis fails."""
         asked = self._sound.suite.diagnosis
         if asked is None or self._trouble or self._record.fleet:
             return

@@ -156,7 +156,7 @@ def _rocking(recorded: Sequence[Segment], models: BenchModels) -> Iterator[tuple
 
 def _temperatures(recorded: Sequence[Segment], models: BenchModels) -> list[float | None]:
     """Returns temperatures [K], with the most frequent temperature of the recording first. An entry is None if the plan does not
-    set the chamber. If the plan has fewer than two temperatures, common temperatures are added."""
+    set the temperature of the chamber. If the plan has fewer than two temperatures, common temperatures are added."""
     stated = [item.temperature for item in recorded if item.temperature is not None]
     visited = list(dict.fromkeys(round(kelvin, 2) for kelvin in stated))
     visited.sort(key=lambda kelvin: -sum(round(other, 2) == kelvin for other in stated))

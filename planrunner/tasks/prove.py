@@ -74,8 +74,8 @@ def prove(run: Path, number: int | None = None, notice: Announce | None = None, 
 
 
 def _changes(stored: Results, now: Results) -> Iterator[tuple[float, str]]:
-    """Yields, for each coefficient, its change and its name. The change is the larger of two changes, in units of the stored
-    standard uncertainty: the change of the value, and the change of the standard uncertainty."""
+    """Yields the change and the name of each coefficient. The change is the larger of two changes, in units of the stored standard
+    uncertainty: the change of the value, and the change of the standard uncertainty."""
     for name, estimate in stored.estimates.items():
         again = {} if name not in now.estimates else {one.name: one for one in now.estimates[name].coefficients}
         for one in estimate.coefficients:

@@ -121,8 +121,8 @@ def verify_log(
     ring: KeyRing | None = None,
     remembered: Mapping[str, RememberedHead] | None = None,
 ) -> LogVerification:
-    """Verifies a log against its own tree head and, if they are given, against the runs of the archive and against tree heads that
-    were noted earlier. `remembered`: maps the name of a file to the tree head that was noted in it."""
+    """Verifies a log against its own tree head. Also compares the log with the runs of the archive and with tree heads that were
+    noted earlier, if these are given. `remembered`: maps the name of a file to the tree head that was noted in it."""
     found = LogVerification(log.path)
     try:
         content = found.content = log.read()
@@ -164,8 +164,8 @@ def _check_head(found: LogVerification, content: LogContent, name: str, one: Rem
 class _History:
     """Contains the entries of the log about one run.
 
-    `begun`: True if the run was made in this archive. `journals`: the states of the journal that the entries record. It
-    maps the number of events in each state to the digest of the last of these events. `seals`: SHA-256 of each seal of the run.
+    `begun`: True if the run was made in this archive. `journals`: for each state of the journal that the entries record, maps the
+    number of events to the digest of the last of these events. `seals`: SHA-256 of each seal of the run.
     """
 
     begun: bool = False
@@ -298,8 +298,8 @@ def _contradiction(history: _History, run: LoggedRun) -> str:
 
 
 def begin_log(archive: Path, runs: Sequence[Path]) -> TreeHead:
-    """Makes a new log for the runs in the archive. Sealed runs are entered with their seals, and all others as runs that have
-    begun. Raises `InputError` if the log cannot be made, and `IntegrityError` for a run that was changed."""
+    """Makes a new log for the runs in the archive. Sealed runs are entered with their seals. All other runs are entered as runs
+    that have begun. Raises `InputError` if the log cannot be made, and `IntegrityError` for a run that was changed."""
     present = [_examined(run, *MENDED) for run in runs]
     log = RunLog.create(archive)
     try:

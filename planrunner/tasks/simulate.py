@@ -94,9 +94,9 @@ def check_virtual(sound: Sound) -> None:
 
 
 def additions_to(sound: Sound, effects: Sequence[tuple[str, Mapping[str, str]]], mark: Mark) -> tuple[Addition, ...]:
-    """Returns the effects to add, each with all its parameters. `effects`: maps the name of each effect to the stated values of its
-    parameters. `mark`: position at which the effects are stated. Raises `InputError` for an effect, a parameter or a value that is
-    not possible."""
+    """Returns the effects to add, each with all its parameters. `effects`: pairs of the name of an effect and the stated values of
+    its parameters. `mark`: position at which the effects are stated. Raises `InputError` for an effect, a parameter or a value that
+    is not possible."""
     from planrunner.error_model.added import addition
     from planrunner.error_model.scheduled import scheduled, sensor_channels
 

@@ -125,7 +125,7 @@ def verify_evaluations(found: Examined, ring: KeyRing | None) -> tuple[Evaluatio
 
 
 def verify_signatures(found: Examined, ring: KeyRing | None) -> tuple[RunSignature, ...]:
-    """Returns the signatures of a run, verified. Adds faults to the findings of `found`."""
+    """Verifies the signatures of a run and returns them. Adds faults to the findings of `found`."""
     path = found.folder.path / SIGNATURES
     try:
         for fault in signature_faults(found.folder):

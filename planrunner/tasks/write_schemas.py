@@ -95,7 +95,7 @@ def _with_references(schema: Json, names: dict[str, str], used: set[str]) -> Jso
 
 
 def text(schema: JsonObject) -> str:
-    """Writes a schema as text for a file."""
+    """Returns a schema as the text of a file."""
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
 
 

@@ -3,14 +3,14 @@
 A new value x of the check standard with the stated standard uncertainty u is compared with
 
 - a reference value R with the standard uncertainty u_R, if the bench file states one: |x − R| ≤ 3·√(u² + u_R² + τ²);
-- its own first values, if there are enough of them, by the charts of `control_charts`; the mean and τ of these charts come from the
-  first values.
+- the first values of the check standard, if there are enough of them, in the charts of `control_charts`; the mean and τ of these
+  charts come from the first values.
 
 τ is the stated repeatability or, if none is stated, the scatter of the first values. A tested value never contributes to its own
 limits. The method follows the NIST/SEMATECH e-Handbook of Statistical Methods, 2.2.2. The values of a check standard are charted
 about an accepted value: in a Shewhart chart and, to detect small changes, as an exponentially weighted moving average. The limits
-come from earlier data. SOP 17 (NISTIR 7383) describes the same method, with limits of action at three standard deviations, and with
-a test against the reference value. In this module, the stated uncertainty of each value also widens the limits for this value
+come from earlier data. SOP 17 (NISTIR 7383) describes the same method, with action limits at three standard deviations, and with a
+test against the reference value. In this module, the stated uncertainty of each value also widens the limits for this value
 (docs/decisions/0045). The comparison with a reference uses no moving average, because the uncertainty u_R is common to all values
 and averaging would not reduce it.
 """

@@ -1,8 +1,8 @@
 """Computes control charts of a coefficient over time. Every value has its own standard uncertainty.
 
 The variance of value i about the mean is σ_i² = u_i² + τ², where u_i is the stated standard uncertainty of the value. The scatter τ
-from run to run is the part that the stated uncertainties do not include, for example the scatter of mounting and switch-on. τ² is
-estimated from the mean moving range, so that a shift or a drift of the mean hardly affects it:
+from run to run is the part of the scatter that the stated uncertainties do not include, for example the scatter due to mounting and
+switch-on. τ² is estimated from the mean moving range, so that a shift or a drift of the mean hardly affects it:
 
     τ² = max(0, (mean |x_i − x_{i−1}| / d₂)² − mean u_i²),    d₂ = 2/√π
 
@@ -148,8 +148,8 @@ def cusum(
 
 
 def control_charts(values: Sequence[float], u: Sequence[float], baseline: int = BASELINE) -> ControlCharts | None:
-    """Returns all charts of n ≥ 2 values in the order of time, with their standard uncertainties. The result is None if there are
-    no limits, because the values do not scatter at all and state no uncertainty."""
+    """Returns all charts of n ≥ 2 values. `values`, `u`: the values in the order of time, and their standard uncertainties. The
+    result is None if there are no limits, because the values do not scatter at all and state no uncertainty."""
     x, s = np.asarray(values, dtype=float), np.asarray(u, dtype=float)
     return charts_about(x, s, centre_of(x, s, baseline)) if len(x) > 1 else None
 

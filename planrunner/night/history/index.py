@@ -97,7 +97,7 @@ class DeviceSummary:
 
 
 class Index:
-    """An open index. Close it, or use it as a context manager.
+    """An open index. The caller must close the index, or use it as a context manager.
 
     All methods raise `InputError` if the database cannot be used, for example because a server stopped, a disk is full, or another
     process keeps a lock. The index keeps the data that were written before the error, and the next refresh continues from there.
@@ -260,7 +260,7 @@ class Index:
         return [_run_row(row) for row in found]
 
     def count(self, wanted: RunFilter = RunFilter()) -> int:  # noqa: B008 - frozen
-        """Returns the number of runs that pass a filter. The filter's limit of the number of runs is ignored."""
+        """Returns the number of runs that pass a filter. The filter's limit on the number of runs is ignored."""
         where, values = self._where(wanted)
         return cast(int, self._database.query(f"SELECT count(*) FROM runs WHERE {where}", values)[0][0])
 
