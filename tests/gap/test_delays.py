@@ -14,7 +14,7 @@ import pytest
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import DiagnosisOptions
-from planrunner.gap.hypotheses.delays import in_step
+from planrunner.gap.hypotheses.delays import _of_segment, in_step
 from planrunner.tasks.diagnose import corrected_observation, diagnose_recorded, recorded_file
 from planrunner.tasks.named_effects import plan_with_estimate
 from tests.gap.test_declarations import to_and_fro
@@ -165,3 +165,36 @@ def test_the_plan_of_an_effect_in_a_recorded_motion_contains_its_segments(tmp_pa
     made = diagnose_recorded(recorded, DiagnosisOptions(("gyro_bias",), ("gyro_scale_factor",)))
     assert made.diagnosis.verdict.effects == ("gyro_scale_factor",)
     assert "diagnosed" in plan_with_estimate(made).sound().plan.estimates
+
+
+@pytest.mark.parametrize("delay", [-0.4137, 0.0, 0.0123, 0.137, 1.3])
+@pytest.mark.parametrize("regular", [True, False])
+def test_the_search_of_a_delay_evaluates_all_samples_only_near_it(
+    delay: float, regular: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A motion about three axes at 100 Hz, with regular and irregular times. The standard uncertainty is that of 9000 readings."""
+    draw = np.random.default_rng(5)
+    time = (np.arange(3000) + (0.0 if regular else 1.0) * draw.uniform(-0.4, 0.4, 3000)) / RATE
+    hertz, phase, size = draw.uniform(0.1, 1.2, (6, 3)), draw.uniform(0, 6.3, (6, 3)), draw.uniform(5, 30, (6, 3))
+
+    def rates(at: Array) -> Array:
+        return np.radians((size * np.sin(2 * np.pi * hertz * at[:, None, None] + phase)).sum(axis=1))
+
+    mixed = np.eye(3) + 0.01 * draw.normal(size=(3, 3))
+    outputs = rates(time - delay) @ mixed + 0.01 + np.radians(0.1) * draw.normal(size=(3000, 3))
+    sound = to_and_fro(segments=1, sampling=3000 / 20.0)
+    seen = replace(sound, time=time, values=np.hstack([outputs, sound.values[:, 3:]]))
+    seen.__dict__["omega"] = rates(time)
+    fits = []
+
+    def counted(columns: Array, values: Array, rcond: None) -> object:
+        fits.append(1)
+        return lstsq(columns, values, rcond=rcond)
+
+    lstsq = np.linalg.lstsq
+    monkeypatch.setattr(np.linalg, "lstsq", counted)
+    found = _of_segment(seen, slice(0, 3000))
+    assert found is not None
+    assert found.uncertainty < 2e-5
+    assert abs(found.seconds - delay) < 4 * found.uncertainty
+    assert len(fits) < 60  # of 801 delays

@@ -18,6 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.recording_checks import STIRRED
 from planrunner.gap.hypotheses.declarations import WrongDeclaration, corrected
@@ -160,7 +161,8 @@ def _in_groups(each: Mapping[str, Delay], least: float) -> dict[str, Delay]:
 
 
 def _of_segment(observed: Observed, rows: slice) -> Delay | None:
-    """Measures the delay of one segment; None if its motion does not show the delay. `rows`: the samples of the segment."""
+    """Measures the delay of one segment; None if its motion does not show the delay. A search over all delays with `_unexplained`
+    gives the region of the best delay; there, the residuals of the samples give the delay. `rows`: the samples of the segment."""
     from scipy.interpolate import CubicSpline
     from scipy.optimize import minimize_scalar
 
@@ -192,8 +194,11 @@ def _of_segment(observed: Observed, rows: slice) -> Delay | None:
         return float(np.where(right, (left**2).sum(axis=0) / energy, 1.0).mean())
 
     step = max(FINEST, float(np.median(np.diff(time))) / 40)
-    tried = step * np.arange(-np.floor(longest / step), np.floor(longest / step) + 1)
-    shares = np.array([residual(delay) for delay in tried])
+    each = CubicSpline(time, observed.values[rows][:, [channels[place] for place in told]])
+    uniform = np.arange(time[0], time[-1], step)
+    steps = int(longest / step)
+    tried = step * np.arange(-steps, steps + 1)
+    shares = _unexplained(course(uniform), each(uniform), own, steps)
     without = residual(0.0)
     good = np.flatnonzero(shares <= shares.min() + ALIKE * max(without - shares.min(), 0.0))
     near = good[np.argmin(np.abs(tried[good]))]
@@ -210,4 +215,34 @@ def _of_segment(observed: Observed, rows: slice) -> Delay | None:
     if abs(delay) >= LATE and share > HALVED * without:
         return None
     count = np.count_nonzero(inside) * len(told)
-    return Delay(delay, float(np.sqrt(2 * share / count / bend)))
+    uncertainty = float(np.sqrt(2 * share / count / bend))
+    return Delay(delay, uncertainty) if uncertainty < longest else None
+
+
+def _unexplained(rates: Array, outputs: Array, axes: Array, steps: int) -> Array:
+    """Returns, for delays of −`steps` to `steps` samples, the fraction of an output's energy that the rates do not explain, shape (2 ·
+    steps + 1,). The fraction is averaged over the outputs; it counts as 1 for an output that follows the rates with the wrong sign.
+
+    `rates`: array of shape (n, r), at uniform times. `outputs`: array of shape (n, p), at the same times. `axes`: array of shape (r, p),
+    the rates about the axis of each output for a rate of 1. The products of outputs and earlier rates for all delays are one correlation,
+    computed by FFT.
+    """
+    from scipy.signal import correlate
+
+    inside = outputs[steps : len(outputs) - steps]
+    inside = inside - inside.mean(axis=0)
+    energy = np.maximum((inside**2).sum(axis=0), 1e-300)
+    first, count = np.arange(2 * steps, -1, -1), len(inside)
+
+    def windowed(values: Array) -> Array:
+        """Returns the sums of values (n, …) over the windows in which the rates of each delay are."""
+        total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
+        return np.asarray(total[first + count] - total[first])
+
+    sums = windowed(rates)
+    gram = windowed(rates[:, :, None] * rates[:, None]) - sums[:, :, None] * sums[:, None] / count
+    cross = np.array([[correlate(rate, output, "valid", "fft")[first] for output in inside.T] for rate in rates.T])
+    cross = np.moveaxis(cross, 2, 0)  # (delays, r, p)
+    gains = np.linalg.pinv(gram, hermitian=True) @ cross
+    left = 1 - (gains * cross).sum(axis=1) / energy
+    return np.asarray(np.where((gains * axes).sum(axis=1) > 0, left, 1.0).mean(axis=1))
