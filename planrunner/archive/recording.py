@@ -210,7 +210,7 @@ class Watcher(Protocol):
         """Returns the findings, after all blocks have been processed."""
 
     def repeats(self) -> Mapping[str, RepeatedValues]:
-        """Returns how the samples of each output repeat, after the findings have been returned."""
+        """Maps each output to its repeated values; call this method after `finds`."""
 
 
 WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]

@@ -106,7 +106,7 @@ UNSHARED = 8_192
 """Number of samples in one inner product. For more than 10 000 numbers, BLAS would use threads."""
 AT_REST = Rest()
 LARGEST = 1e100
-"""Largest accepted sample. A larger one cannot be a measurement, and its square could overflow."""
+"""Largest accepted sample. A larger sample cannot be a measurement, and its square could overflow."""
 
 
 def statistics_of(

@@ -68,11 +68,11 @@ MOST_SHOWN = 20
 RecordedEntries = dict[str, Entry]
 
 SampleCheck = Literal["sizes", "digests", "contents"]
-"""Depth of the check of sample files. `sizes`: each file exists and has the right size. `digests`: also, its digest is right.
-`contents`: also, its rows and columns are right."""
+"""Depth of the check of sample files. `sizes`: each file exists and has the right size. `digests`: in addition, its digest is
+right. `contents`: in addition, its rows and columns are right."""
 
 CLOCKS_DIFFER = timedelta(hours=1)
-"""Largest expected difference between the clocks of two computers: the one that reads a run and the one that wrote it."""
+"""Largest expected difference between the clocks of two computers: the computer that reads a run and the computer that wrote it."""
 
 Change = Literal["altered", "removed", "added", "reordered", "re-sealed", "cut", "back-dated", "replaced"]
 """Kind of a later change to a run folder, or to the runs of an archive."""

@@ -52,7 +52,7 @@ CHUNK = 1000
 NIGHT = timedelta(hours=24)
 """Length of the period that the wall shows. The period ends at the newest run."""
 ENTRY = "data.js"
-"""File by which a folder is recognised as a site. planrunner writes only to such a folder or to an empty one."""
+"""File by which a folder is recognised as a site. planrunner writes only to such a folder or to an empty folder."""
 DATA = re.compile(r"data-[0-9a-f]{16}")
 PAGE = ("site.html", "site.js", "strip.js", "page.css")
 VENDORED = ("uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE")

@@ -141,7 +141,7 @@ class NightCourse:
     _tests: list[_Test] = field(default_factory=list)
     _benches: dict[str, _Bench] = field(default_factory=dict)
     _devices: dict[str, str] = field(default_factory=dict)
-    """For each device on which no further test begins, the reason."""
+    """Maps each device on which no further test begins to the reason."""
     _followers: list[list[int]] = field(default_factory=list)
     """For each test, the tests that begin after it."""
     _dependents: list[list[int]] = field(default_factory=list)

@@ -28,7 +28,7 @@ from planrunner.base.dataclass import dataclass
 COVERAGE = 2.0
 """Coverage factor k of expanded uncertainties, about 95 %."""
 HORIZON = 3653.0
-"""Longest interval [days] that is recommended. The data of the fit do not support a longer one."""
+"""Longest interval [days] that is recommended. The data of the fit do not support a longer interval."""
 LEAST = 3
 """Smallest number of values for the estimate of a drift."""
 LEAST_SPAN = 1.0
