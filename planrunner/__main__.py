@@ -27,7 +27,7 @@ def main() -> int:
 
 
 def _end_at_once() -> None:
-    """Ends the process at once on a signal, while nothing has begun."""
+    """Ends the process at once on a signal that arrives before anything has begun."""
     for name in ("SIGINT", "SIGTERM"):
         number = getattr(_signal, name)
         if _signal.getsignal(number) != _signal.SIG_IGN:

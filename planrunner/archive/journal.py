@@ -2,9 +2,9 @@
 line.
 
 A line is acknowledged when `Journal.append` returns. In durable mode, the line is then on the disk. A process that is killed during
-a write leaves an incomplete last line, which was never acknowledged; resuming the run removes it. If the chain is broken anywhere
-else, the file was changed, and the journal is refused. A journal is also refused if a line, the file or the number of events
-exceeds the limits that planrunner observes when it writes.
+a write leaves an incomplete last line, which was never acknowledged. This line is removed when the run is resumed. If the chain is
+broken anywhere else, the file was changed, and the journal is refused. A journal is also refused if a line, the file or the number
+of events exceeds the limits that planrunner observes when it writes.
 """
 
 from __future__ import annotations

@@ -173,7 +173,7 @@ def check_channels(parameters: Record, outputs: Collection[str] | None, log: Fin
     """Adds a finding for each channel that the sensor does not have, and for each channel that is named twice.
 
     `outputs`: names of the sensor's outputs; None if it is not known what will be recorded. Default channels of an estimator, which
-    the plan does not name, may be absent from the outputs. The estimator itself decides whether it needs them.
+    the plan does not name, may be absent from the outputs. The estimator itself decides whether it needs these channels.
     """
     seen: set[str] = set()
     for key, place, channel in _named(parameters):

@@ -203,7 +203,7 @@ def _drift(found: Trend, unit: str) -> list[str]:
 
 
 def _no_drift(found: Trend) -> list[str]:
-    """States why the drift cannot be computed, and what is needed for it."""
+    """States why the drift cannot be computed, and what is needed to compute it."""
     if len(found.points) < 2:
         return []
     runs = [point.run for point in found.points[found.changes[-1].index if found.changes else 0 :]]

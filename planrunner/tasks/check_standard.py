@@ -41,7 +41,8 @@ CODE = "bench-check-standard"
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """Records a person's decision that a run may begin although the check standard is not in control, and the reason for it."""
+    """Records a person's decision that a run may begin although the check standard is not in control, and the reason for this
+    decision."""
 
     by: str
     why: str

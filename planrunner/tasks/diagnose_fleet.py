@@ -624,8 +624,8 @@ def _compare(runs: Sequence[Path], verdicts: Sequence[RunVerdict], log: Findings
 
 def _named(verdicts: Sequence[RunVerdict]) -> tuple[str, ...]:
     """Returns the effects that at least one run names. If the plan of a run cannot distinguish several effects, one of them is
-    chosen. The chosen effect is the effect that another run names with certainty. If there is no such effect, it is the effect with
-    the highest probability over all runs together."""
+    chosen. The chosen effect is the effect that another run names with certainty. If there is no such effect, the effect with the
+    highest probability over all runs together is chosen."""
     certain = {name for one in verdicts if not one.members for name in one.effects}
     chosen = set(certain)
     for one in verdicts:

@@ -22,7 +22,8 @@ from planrunner.signing.time_stamps import StampAuthority, StampError, parse_aut
 
 
 def authority_of(spec: TimeStampsSpec) -> StampAuthority:
-    """Returns the certificates of the authority that a bench names. The check of the bench has already verified them."""
+    """Returns the certificates of the authority that a bench names. The check of the bench has already verified these
+    certificates."""
     return parse_authority(spec.certificate.encode())
 
 

@@ -125,8 +125,9 @@ def _misfit(values: Array, weight: Array, design: Array) -> float:
 
 
 def causes(point: ChangePoint, circumstances: Sequence[Sequence[Circumstance]]) -> tuple[CauseCandidate, ...]:
-    """Returns the circumstances that changed when the level changed. They are sorted: the first circumstance best distinguishes the
-    runs before the change from the runs after it. `circumstances`: the circumstances of every run, in the order of the values."""
+    """Returns the circumstances that changed when the level changed. The result is sorted: the first circumstance best
+    distinguishes the runs before the change from the runs after it. `circumstances`: the circumstances of every run, in the order
+    of the values."""
     known = [{(one.kind, one.name): one.value for one in run} for run in circumstances[point.begin : point.end]]
     split = point.index - point.begin
     before, after = known[split - 1], known[split]

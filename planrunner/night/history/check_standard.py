@@ -12,7 +12,7 @@ about an accepted value: in a Shewhart chart and, to detect small changes, as an
 come from earlier data. SOP 17 (NISTIR 7383) describes the same method, with action limits at three standard deviations, and with a
 test against the reference value. In this module, the stated uncertainty of each value also widens the limits for this value
 (docs/decisions/0045). The comparison with a reference uses no moving average, because the uncertainty u_R is common to all values
-and averaging would not reduce it.
+and averaging would not reduce this uncertainty.
 """
 
 from __future__ import annotations
