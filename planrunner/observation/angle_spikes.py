@@ -102,7 +102,7 @@ class AngleSpikes:
         """Returns the index, the deviation and the noise of each spike among the samples `values` (n,) with an index from `low` up
         to but not including `high`."""
         turn = 2 * math.pi * self.radian
-        x = np.unwrap(values, period=turn) if np.ptp(values) > turn / 2 else values
+        x = unwrapped = _unwrapped(values, turn) if np.ptp(values) > turn / 2 else values
         off = np.zeros(len(x))
         off[_SIDE:-_SIDE] = _off_course(x)
         size = np.abs(off)
@@ -124,7 +124,8 @@ class AngleSpikes:
         if high == len(x):
             ends = self._at_the_end(x[: -_STRETCH - _SIDE - 1 : -1])
             found += [(len(x) - 1 - place, off, scale) for place, off, scale in ends]
-        return sorted(found)
+        turns = np.round((unwrapped - values) / turn)
+        return sorted((k, off + turn * (_usual(turns, k) - turns[k]), scale) for k, off, scale in found)
 
     @property
     def _smallest(self) -> float:
@@ -170,6 +171,27 @@ class AngleSpikes:
             if np.abs(_off_parabola(near)).max() <= max(3 * _AGREES * scale, _SHARE * abs(off)):
                 return [(k, off, scale / _PARABOLA_FACTOR)]
         return []
+
+
+def _unwrapped(values: Array, turn: float) -> Array:
+    """Returns the angles of shape (n,) without jumps of a whole turn from sample to sample. If a single sample differs by about half
+    a turn from both neighbours, noise decides whether the way to the sample and the way back seem to go in the same direction. The
+    way back is then reversed, because the samples after it would otherwise be shifted by a turn."""
+    steps = np.diff(values)
+    ways = steps - turn * np.round(steps / turn)
+    large = np.pad(np.abs(ways) > turn / 4, 1)
+    both = ways[:-1] + ways[1:]
+    alone = large[1:-2] & large[2:-1] & ~large[:-3] & ~large[3:]
+    back = np.flatnonzero(alone & (ways[:-1] * ways[1:] > 0) & (np.abs(both - turn * np.round(both / turn)) < turn / 4))
+    ways[back + 1] -= turn * np.sign(ways[back])
+    return np.asarray(values + turn * np.concatenate(([0.0], np.cumsum(np.round((ways - steps) / turn)))))
+
+
+def _usual(turns: Array, k: int) -> float:
+    """Returns the whole turns by which the neighbours of the sample k were shifted. `turns`: array of shape (n,), the turns by which
+    each sample was shifted."""
+    near = np.concatenate((turns[max(k - _SIDE, 0) : k], turns[k + 1 : k + 1 + _SIDE]))
+    return float(np.sort(near)[len(near) // 2])
 
 
 def _off_course(x: Array) -> Array:

@@ -119,3 +119,34 @@ def test_a_step_is_no_spike() -> None:
     values = resting() + ARCSEC * np.random.default_rng(11).standard_normal(ROWS)
     values[3000:] += 0.2
     assert found(values) == ()
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("size", [179.9999, 180.0, -180.0, 180.0001, 200.0, 270.0, 540.0])
+def test_a_spike_of_half_a_turn_or_more_shifts_no_other_sample(motion: Callable[[float], Array], size: float) -> None:
+    """With noise, the way to such a sample and the way back may seem to go in the same direction. The value that replaces the sample
+    is near its neighbours, not a turn away from them."""
+    draw = np.random.default_rng(11)
+    for row in (2, 450, 997, 3100, ROWS - 3):
+        values = motion(0.0) + ARCSEC * draw.standard_normal(ROWS)
+        true = values[row]
+        values[row] += size
+        (one,) = found(values)
+        assert (one.kind, one.first, one.rows) == (FindKind.SPIKE, row, 1)
+        assert one.before == one.after == pytest.approx(true, abs=40 * ARCSEC)
+        assert one.size == pytest.approx(size, abs=40 * ARCSEC)
+
+
+def test_a_spike_of_half_a_turn_while_the_reading_starts_again_at_zero() -> None:
+    values = turning(0.0) + ARCSEC * np.random.default_rng(12).standard_normal(ROWS)
+    values[3000] += 180.0
+    (one,) = found(np.mod(values, 360))
+    assert one.first == 3000
+
+
+def test_a_fast_rotation_has_no_spike() -> None:
+    """100 and 170 deg from sample to sample: no sample is alone."""
+    for step in (100.0, 170.0):
+        assert (
+            found(np.mod(step * np.arange(ROWS), 360) + ARCSEC * np.random.default_rng(13).standard_normal(ROWS)) == ()
+        )
