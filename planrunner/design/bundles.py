@@ -17,7 +17,7 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.base.workers import ALONE, Workers, results_in_order
 
-_STARTS = 20  # random choices from which the exchange starts
+_STARTS = 20  # number of random choices from which the exchange starts
 
 
 def loss(matrix: Array, criterion: str) -> float:

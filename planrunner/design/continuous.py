@@ -20,8 +20,8 @@ import numpy as np
 from planrunner.base.arrays import Array
 from planrunner.design.efficiency import information
 
-MOST_ROUNDS = 6  # of climbing
-NEGLIGIBLE = 1e-8  # shares below this are dropped from a solution
+MOST_ROUNDS = 6  # largest number of rounds of climbing
+NEGLIGIBLE = 1e-8  # fractions below this value are removed from a solution
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +51,12 @@ class Continuous:
 
     def determinant_bound(self, observations: int) -> float:
         """Returns an upper bound of |M| for any set with this number of observations (criterion D)."""
-        # ln|M| is concave: no other design's is larger by more than what the largest derivative exceeds the mean.
+        # ln|M| is concave. For any other design, it is larger by at most the largest derivative minus the mean derivative.
         return float(observations ** len(self.matrix) * self.value * np.exp(self.mean * self.excess))
 
     def trace_bound(self, observations: int) -> float:
         """Returns a lower bound of tr(W·M⁻¹) for any set with this number of observations (linear criteria)."""
-        # tr(W·M⁻¹) is convex, likewise.
+        # tr(W·M⁻¹) is convex; the bound follows in the same way.
         return (self.value - self.mean * self.excess) / observations
 
 
@@ -146,7 +146,7 @@ def _step(shares: Array, gain: Array, p: int) -> Array:
         result = (1.0 - length) * shares
         result[up] += length
         return np.asarray(result)
-    whole = shares[down] / (1.0 - shares[down])  # at most its whole share
+    whole = shares[down] / (1.0 - shares[down])  # the step removes at most the whole fraction
     back = (1.0 - gain[down] / p) / (gain[down] - 1.0) if gain[down] > 1.0 else np.inf
     length = min(float(back), float(whole))
     result = (1.0 + length) * shares

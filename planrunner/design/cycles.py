@@ -28,11 +28,11 @@ from planrunner.physics.rotation_cycle import NOTHING, RotationCycle
 
 TURN = 2 * math.pi
 HALF_TURN = math.pi
-MOST_CHOICES = 2**16  # of directions, in one round of `same_order`
-MOST_STEPS = 200_000  # of `free_order`, in one search; divided equally among its parts
+MOST_CHOICES = 2**16  # largest number of combinations of senses in one round of `same_order`
+MOST_STEPS = 200_000  # largest number of steps in one search of `free_order`; divided equally among its parts
 CHOICES_OF_A_PART = 2**13
 MOST_MOVES = 24
-_ANGLE = 1e-9  # rad, or rad of mean angle: closer counts as equal
+_ANGLE = 1e-9  # rad; angles, or mean angles, that differ by less count as equal
 
 
 class CycleError(ValueError):
@@ -249,7 +249,7 @@ class _Search:
         self.seconds = {turn: seconds for turn, (_, seconds) in made.items()}
         self.first, self.most = first, MOST_STEPS // max(1, len(self.steps[self.home]))
         self.best: RotationCycle | None = None
-        self.narrowest = math.inf  # range of the best, once its mean angle is zero
+        self.narrowest = math.inf  # range of the best cycle, as soon as its mean angle is zero
         self.tried = self.balanced = self.wound = self.walked = 0
 
     def run(self) -> tuple[RotationCycle | None, Round]:

@@ -17,7 +17,7 @@ from planrunner.base.arrays import Array
 
 RowsAt = Callable[[Array], Array]
 
-EXACT = 1e-9  # of the largest entry
+EXACT = 1e-9  # largest error, relative to the largest element
 _FITTED, _TRIED = 300, 100
 _UPPER = np.triu_indices(9)
 

@@ -25,7 +25,7 @@ Progress = Callable[[float], None]
 MOST_CHOICES = 1_000_000
 """If there are at most this many choices, all of them are tried."""
 _CHUNK = 50_000
-_RIDGE = 1e-10  # keeps the others' information matrix invertible while a set is still too small
+_RIDGE = 1e-10  # keeps the information matrix of the other points invertible if they are too few
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ def _settle(rows: Array, start: Indices, weighting: Array | None, repeats: bool,
             if worth[best] > worth[indices[place]] * (1 + 1e-10):
                 indices[place] = best
             matrix = others + np.outer(rows[indices[place]], rows[indices[place]])
-        matrix = rows[indices].T @ rows[indices] + ridge  # afresh: differences lose digits
+        matrix = rows[indices].T @ rows[indices] + ridge  # computed again, because repeated differences lose digits
         if np.array_equal(indices, before):
             break
     return indices

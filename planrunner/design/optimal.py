@@ -22,9 +22,9 @@ from planrunner.design.continuous import Continuous, derivative, solve, solve_wi
 RowsOf = Callable[[Array], Array]
 Progress = Callable[[float], None]
 
-DIFFERENCE = 1e-5  # rad; central differences of smooth rows are then good to about 1e-10
-LEAST_SHARE = 0.25  # of the time that a position would have if all times were equal
-CLIMBERS = 24  # places from which the variance is climbed
+DIFFERENCE = 1e-5  # rad, step of central differences, whose error is then about 1e-10 for smooth rows
+LEAST_SHARE = 0.25  # fraction of the time that each position would have if all times were equal
+CLIMBERS = 24  # number of points from which the search climbs
 
 
 @dataclass(frozen=True, slots=True)

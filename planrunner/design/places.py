@@ -142,7 +142,7 @@ def sight(
     noise = np.asarray(block.sigma, dtype=float)
     typical = float(np.sqrt(np.mean(noise[~stays] ** 2))) if (~stays).any() else 0.0
     relative = typical / noise[stays] if typical > 0 and np.all(noise[stays] > 0) else np.ones(int(stays.sum()))
-    share = relative / np.sqrt(len(found[0].segments))  # spins run once beside positions that are run several times
+    share = relative / np.sqrt(len(found[0].segments))  # spins are run once, positions are run several times
     return Sight(
         name,
         spec,

@@ -63,9 +63,9 @@ SHARE = "share"
 _OF_ORIENTATION = re.compile(r"orientation_[1-9][0-9]{0,3}_[xyz]")
 SIZE = "size"
 """Parameter of an effect with a random value for every orientation: the standard deviation of these values."""
-_UNUSUAL = 3.0  # multiple of the declared noise, by default
-_WALK = 1e-4  # deg/s/√s or m/s²/√s, by default
-_SIGMA = 1e-3  # deg/s or m/s², by default
+_UNUSUAL = 3.0  # default: multiple of the declared noise
+_WALK = 1e-4  # default, deg/s/√s or m/s²/√s
+_SIGMA = 1e-3  # default, deg/s or m/s²
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,7 +296,7 @@ def _each_orientation(
     (variant,) = item.effect.variants(_among_others(observed))
     found = []
     for column in variant.columns:
-        # The other orientations only accompany the first.
+        # Only the columns of the first orientation belong to the segment.
         if column.axis is not None and column.segments is not None and column.segments[0]:
             place = np.rint(observed.attitude[0].ravel() * 1e6).astype(np.int64).view(np.uint32).tolist()
             drawn = float(np.random.default_rng([seed, column.axis, *place]).standard_normal())

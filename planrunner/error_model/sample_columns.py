@@ -31,7 +31,7 @@ from planrunner.error_model.segment_columns import (
     without_axis,
 )
 
-_STEP = 1e-6  # of the largest output, for the slope of an effect on the output
+_STEP = 1e-6  # fraction of the largest output: step for the slope of an effect on the output
 
 
 def shaped(part: EffectPart) -> bool:
@@ -137,7 +137,7 @@ class ErrorsAtSamples:
         for part in self.errors.chosen:
             if of_stimulus(part.effect):
                 columns = _columns(part.effect, self.observed, shapes)
-                every = part.effect.stage == "acquisition"  # what delays the output delays all of its inputs
+                every = part.effect.stage == "acquisition"  # a delay of the output delays all inputs of this output
                 mine = [every or self.errors.channel in one.parts for one in columns]
                 keys = [(part.effect.id, without_axis(one)[0]) for one in columns]
                 sizes = [stimulus.get(key, 0.0) if own else 0.0 for key, own in zip(keys, mine, strict=True)]

@@ -22,7 +22,7 @@ from planrunner.physics.sampled_motion import motion_at
 from planrunner.plan.schedule import Motion, Rest, Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS
 
-_SAMPLES = 8  # of each segment
+_SAMPLES = 8  # number of samples of each segment
 
 
 def sensor_channels(sensor: SensorModel) -> tuple[Channel, ...]:

@@ -47,11 +47,11 @@ TRIADS = tuple(
     Channel(f"{kind}_{'xyz'[axis]}", kind, axis, text, 1.0, 0.0) for kind, text in KINDS.items() for axis in range(3)
 )
 """Two ideal triads. The columns of an estimate are the outputs that the effects cause in these triads."""
-_DIRECTIONS = 8  # of a turn
-_ALONG = 3  # nodes of a ramp
-_ALONG_SHAPED = 12  # nodes along a segment during which something decays
-_STEP = 1e-4  # of a shape, relative, for the derivative
-_CHANGED = 1.0  # K between segments: less is no change of temperature
+_DIRECTIONS = 8  # number of angles of a turn
+_ALONG = 3  # number of nodes along a ramp
+_ALONG_SHAPED = 12  # number of nodes along a segment if an effect has a shape
+_STEP = 1e-4  # relative step of a shape for the derivative
+_CHANGED = 1.0  # K; a smaller difference between segments does not count as a change of temperature
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -35,9 +35,9 @@ if TYPE_CHECKING:
     from planrunner.error_model.observed import Observed, TemperatureCourse
 
 NAME = r"[a-z][a-z0-9_]{0,59}"
-_CHANGED = 1.0  # K between segments: less is no change of temperature
+_CHANGED = 1.0  # K; a smaller difference between segments does not count as a change of temperature
 _SLOW: tuple[OutsideKind, ...] = ("random walk", "gauss-markov")
-_WALKS = 2  # second part of a generator's key, of the first of four processes: different from those of segments and of switching on
+_WALKS = 2  # occasion of the first of four random processes; segments and switching on have other occasions
 
 
 def _of_axis(item: Addition, kind: OutsideKind, output: str) -> float | None:
@@ -73,7 +73,7 @@ class AddedEffects:
         self.additions: tuple[Addition, ...] = ()
         self.walks: dict[str, RandomWalk] = {}
         self.varying: dict[str, GaussMarkov] = {}
-        self.before: float | None = None  # degC, of the segment before
+        self.before: float | None = None  # degC, temperature of the preceding segment
         self.change = 0.0
         self.segment = -1
         self.orientations: list[tuple[float, ...]] = []  # in the order of first use
@@ -215,7 +215,7 @@ class AddedEffects:
             segment.label,
             segment.motion,
             segment.attitude,
-            moments.time + step / 2 - moments.power_on,  # as the samples are stamped, at the end of their intervals
+            moments.time + step / 2 - moments.power_on,  # time stamps, at the ends of the sample intervals
             moments.angle,
             moments.rate,
             np.zeros(len(warm)) if steady else np.gradient(moments.rate, step),

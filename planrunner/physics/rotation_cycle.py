@@ -23,7 +23,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.plan.schedule import Cycle
 
-NOTHING = 1e-6  # of a period: negligible, because errors are known to a few per cent only
+NOTHING = 1e-6  # fraction of a period that is negligible, because errors are known to a few per cent only
 
 
 @dataclass(frozen=True)

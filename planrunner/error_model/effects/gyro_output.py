@@ -13,7 +13,7 @@ from planrunner.error_model.effects.interface import About, Actor, Column, Shape
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
-_LINEAR = 0.02  # of the largest output: a soft limit changes a smaller output by less than 1e-5 of its largest change
+_LINEAR = 0.02  # fraction of the largest output; below it, a soft limit changes an output by less than 1e-5 of its largest change
 _SHORT = 1e-6  # s, a delay so short that the secant equals the tangent
 
 

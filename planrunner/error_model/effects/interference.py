@@ -17,7 +17,7 @@ from planrunner.plan.units import STANDARD_GRAVITY as G
 _SCALES = {"gyro": ("deg/s", np.pi / 180, 1e-2), "accel": ("mg", 1e-3 * G, 1.0)}
 """For each kind of triad: the unit of the amplitude, the SI value of this unit, and the usual size of the amplitude in this
 unit."""
-_LINE = 60.0  # Hz, of an electric supply, in a simulation that states no frequency
+_LINE = 60.0  # Hz, default of a simulation: frequency of an electric supply
 
 
 def _about(triad: str) -> About:

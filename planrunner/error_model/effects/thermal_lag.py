@@ -14,8 +14,8 @@ from planrunner.plan.units import STANDARD_GRAVITY as G
 _SCALES = {"gyro": ("deg/s/K", np.pi / 180, 1e-3), "accel": ("ug/K", 1e-6 * G, 100.0)}
 """For each kind of triad: the unit of the amplitude, the SI value of this unit, and the usual size of the amplitude in this
 unit."""
-_NODES = 256  # of a segment during which the temperature changes
-_SETTLED = 3.0  # time constants that fit between two segments at least
+_NODES = 256  # largest number of nodes of a segment in which the temperature changes
+_SETTLED = 3.0  # smallest gap between two segments, in time constants of the assumed change of temperature
 
 
 def _about(triad: str) -> About:
@@ -101,7 +101,7 @@ def _reached(before: TemperatureCourse | None, course: TemperatureCourse, behind
     rise = float(course.temperature[0] - before.temperature[-1])
     settles = rise / before.rate if before.rate * rise > 0 else 0.0
     s = min(settles, gap / _SETTLED)
-    s *= 1 + 1e-6 * (abs(s - tau) < 1e-6 * tau)  # the formula has no value where both are equal
+    s *= 1 + 1e-6 * (abs(s - tau) < 1e-6 * tau)  # the formula is not defined if both are equal
     own, given = math.exp(-gap / tau), math.exp(-gap / s) if s > 0 else 0.0
     return (behind - rise) * own - rise * s / (s - tau) * (given - own)
 

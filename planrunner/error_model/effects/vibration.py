@@ -10,7 +10,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.plan.units import STANDARD_GRAVITY as G
 
 DEG = np.pi / 180
-_TWO = 1.2  # ratio of the mean squares of two intensities: with one, the shift is any offset of the rocking segments
+_TWO = 1.2  # ratio of two intensities; with a single intensity, the shift looks like an offset of the rocking segments
 _SHOWN_BY = "segments at rest, and rocking segments of two intensities"
 
 

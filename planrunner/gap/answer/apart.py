@@ -31,8 +31,8 @@ from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.outside import PLAIN, TONE, Line, Outside, outside, scopes_of
 from planrunner.plan.schedule import Rest, Spin
 
-_RUNS = 20  # runs of a segment from which r is known
-_MOST = 0.3  # r above which a channel is not used: r then differs between the middle of a count and its edges
+_RUNS = 20  # smallest number of sequences of equal samples in a segment from which r is estimated
+_MOST = 0.3  # largest r of a usable channel; a larger r differs between the middle and the edges of a count
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,8 +86,8 @@ def repeated(observed: Observed) -> Repeated:
     return Repeated(total, tuple(sorted(found, key=lambda one: -one.count)), held)
 
 
-_ROUNDS = 5  # corrections of the frequency
-_STEP = 1e-3  # of the resolution 1/T of the recording, for the derivative with respect to the frequency
+_ROUNDS = 5  # number of corrections of the frequency
+_STEP = 1e-3  # step of the derivative with respect to the frequency, relative to the resolution 1/T
 
 
 @dataclass(frozen=True)

@@ -46,19 +46,19 @@ from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, W
 from planrunner.gap.hypotheses.forms import OnOthers, OperatingPoint, on_output, operating_point
 
 FOLDS = 4
-FEWEST = 6  # segments; with fewer, three quarters of them contain too little information
+FEWEST = 6  # smallest number of segments; three quarters of fewer segments contain too little information
 DRAWS = 2000
-LEVELS = 40  # random levels of the noise, among which the draws for an unknown composition are shared
+LEVELS = 40  # number of random noise levels, among which the draws for an unknown composition are divided
 SEED = 21
-WIDEST = 0.5  # width of an interval above which the closure is not resolvable
+WIDEST = 0.5  # largest width of the interval of a resolvable closure
 TOLD = 0.5
 """Smallest fraction t of an effect's energy in the held-out segments that the other segments must determine. If they determine
 less, the closure is not measured. Even if the effect is the whole cause, it shrinks the gap of the held-out segments only by 1 −
 √(1 − t), which is 0.29 at this limit. With a smaller t, the closure would describe the plan, not the effect."""
 KINDS = ("gyro", "accel")
 FLICKER_LEVELS = (0.0, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0)  # relative to the declared level
-EXCESS = 0.01  # p-value below which the residuals of a group contain more than noise
-SMALLEST = 1e-4  # of the measured variance of the noise, relative to its model
+EXCESS = 0.01  # p-value below which noise alone does not explain the residuals of a group
+SMALLEST = 1e-4  # smallest measured variance of the noise, relative to the variance of the model
 WALKED = 0.1
 """Smallest fraction of the gyros' squared residuals within segments that must remain after the expected energy of a random walk has
 been subtracted. If less remains, these residuals do not show the level of the noise."""
@@ -66,7 +66,7 @@ SHAPES = 6  # number of shapes of an effect besides the best one
 UNLIKELY = 8.0
 """If the log probability of a shape is lower than that of the most probable shape by more than this value [nats], the shape is
 omitted. Together, n such shapes have a probability of less than n·exp(−8), which is 0.7 % for the 20 shapes of a refined grid."""
-WORTH = 4.0  # log BF in a fold at and above which an effect is selected
+WORTH = 4.0  # smallest log Bayes factor with which an effect is selected in a fold
 
 
 @dataclass(frozen=True, slots=True)

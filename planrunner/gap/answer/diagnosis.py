@@ -64,8 +64,8 @@ from planrunner.observation.refusals import ObservationError
 FEWEST_SEGMENTS = 4
 SHOWN_PLACES = 20
 _MOST_CHOICES = 30
-_LIKELY = 1e-3  # smallest probability of such a candidate
-_ABSORBED_SHARE = 0.05  # remaining share of a signature's energy below which an effect counts as absorbed
+_LIKELY = 1e-3  # smallest probability of an effect or set that the closure may choose
+_ABSORBED_SHARE = 0.05  # remaining fraction of a signature's energy below which an effect counts as absorbed
 
 
 @dataclass(frozen=True, slots=True)

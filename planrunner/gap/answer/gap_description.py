@@ -43,7 +43,7 @@ from planrunner.plan.directions import word_of
 
 REPLICATES = 400
 SEED = 20
-_LEVELS = 4  # bins of temperature and time
+_LEVELS = 4  # number of bins of temperature and time
 _NEAR = math.sqrt(2 - 2 * 0.999)
 """If the difference between the unit vectors of an axis and of a direction is shorter than this length, the axis is described by
 the word for the direction. The cosine of the angle between the two is then above 0.999."""

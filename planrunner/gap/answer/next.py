@@ -45,7 +45,7 @@ from planrunner.plan.schedule import Rest, Rock, Segment, Spin
 from planrunner.plan.units import STANDARD_GRAVITY, ZERO_CELSIUS
 
 _FLAT = 1e-9  # precision of an unknown parameter, relative to its information from the recording
-_AT_ONCE = 4_000_000  # numbers in the matrices that are evaluated at a time; limits memory
+_AT_ONCE = 4_000_000  # numbers in the matrices that are evaluated at the same time; limits memory
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(21)
 
 
@@ -303,11 +303,11 @@ def _fitted(weighing: Weighing) -> tuple[float, ...]:
 
 
 Columns = Callable[[Observed], Sequence[Sequence[Column]]]
-LATER = 600.0  # s after the recording's end, when a segment is taken to begin
-_SAMPLED = 2.0  # s of a segment at rest; for turns and periods, the whole number that lasts at least this long
-_STUB = 8  # samples that represent each segment while a few are examined closely
-_CHUNK = 25  # segments examined closely at a time; limits memory
-_CHANGED = 1.0  # K
+LATER = 600.0  # s, assumed time from the end of the recording to the start of a segment
+_SAMPLED = 2.0  # s, computed part of a segment; in motion, whole turns or periods that take at least this time
+_STUB = 8  # samples that represent a segment that is not computed in detail
+_CHUNK = 25  # segments that are computed in detail at the same time; limits memory
+_CHANGED = 1.0  # K, differences of temperature up to this value do not count as a change
 
 
 @dataclass(frozen=True)
@@ -471,11 +471,11 @@ AIM = 0.97
 FAINT = 0.05
 """If noise alone or an unknown cause is the most probable explanation, a measurement is proposed only for effects with at least
 this probability."""
-LONGEST = 12 * 3600.0  # s of test time
+LONGEST = 12 * 3600.0  # s, longest test time of a proposal
 FEWEST = 4
 """Smallest number of segments in a proposal. Fewer segments could be outliers."""
-_BUNDLE = 4  # segments at another temperature evaluated together: one rarely justifies the change
-_KEPT = 60  # options kept after the first round
+_BUNDLE = 4  # segments at another temperature that are evaluated together; a single one rarely justifies the change
+_KEPT = 60  # number of moves that are kept after the first round
 _REPEATS = (1, 2, 3, 5, 10, 20, 50)
 _HELPS = 0.005  # smallest reduction of the expected loss that justifies a segment
 
@@ -681,10 +681,10 @@ def _repeating(rivals: Sequence[Rival], recorded: Array, lasting: float, aim: fl
     return times * lasting, reached
 
 
-ENOUGH = 0.9  # expected probability of the true explanation with the instrument
+ENOUGH = 0.9  # smallest expected probability of the true explanation with a proposed instrument
 ACCELEROMETER = 50e-6 * STANDARD_GRAVITY  # SI·√s, white noise of an additional instrument
 ARCSECOND = np.pi / 180 / 3600  # standard uncertainty of an autocollimator with a level
-_LOOKED_AT = 40  # segments
+_LOOKED_AT = 40  # number of segments with which an instrument is evaluated
 
 
 @dataclass(frozen=True)

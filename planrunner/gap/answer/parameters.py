@@ -83,7 +83,7 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
     evaluated values of the shape."""
     effect = candidate.effect
     if isinstance(effect, HasShape) and not isinstance(effect, Shaped) and candidate.best.variant.shape is not None:
-        # One of a few numbers, of which the amplitudes belong to the best.
+        # The shape is one of a few numbers. The amplitudes are those of the best number.
         return [
             ParameterEstimate(candidate.id, effect.shape_name, candidate.best.variant.shape, effect.shape_unit, 0.0)
         ]

@@ -35,21 +35,23 @@ from planrunner.gap.hypotheses.open_set import Kinds, competitors, forms_of_unkn
 from planrunner.gap.hypotheses.outside import Line
 from planrunner.gap.hypotheses.patterns import Pattern
 
-BESIDE = 0.001  # probability of a tone or bursts beside an effect, from an independent cause
+BESIDE = 0.001  # probability that a tone or bursts with an independent cause are present in addition to an effect
 EVENT = 0.02
 """Probability that the noise of a recording contains a single event of a few seconds, for example a knock. Such an event does not
 count as a cause of a gap; events that recur do."""
-LARGEST_EVENT = 50.0  # nats, half the energy of an event of ten standard deviations: larger events are no noise
+LARGEST_EVENT = (
+    50.0  # nats, half the energy of an event of 10 standard deviations; a larger event does not count as noise
+)
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown": 0.15}
 """Prior probabilities. `several` is divided equally between two cases: three and more effects of the catalogue, and effects
 together with something else. Every further effect halves the probability."""
-NAMEABLE = 0.05  # the probability of none above which no effect is named
-LIKELY = 1e-3  # smallest probability of a set beside which something else may act
+NAMEABLE = 0.05  # probability of "none" at and above which no effect is named
+LIKELY = 1e-3  # smallest share of a set in the probability of all sets of its size, so that something else may act in addition
 IMPERFECT = 0.05
 """If the log evidence of an effect is less than this fraction of the log evidence of something else, the effect is not considered
 in addition to something else. The reason is that no pattern describes an unknown cause exactly. Effects of the catalogue can
 imitate the part that the pattern does not describe."""
-WORTH = 3.0  # log BF of something else from which it may be the cause of what some of the effects follow
+WORTH = 3.0  # log Bayes factor at and above which something else may cause the part that some of the effects explain
 UNKNOWN = "unknown"
 _Key = TypeVar("_Key", str, tuple[str, ...])
 

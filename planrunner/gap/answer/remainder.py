@@ -68,7 +68,7 @@ def dispersions(weighing: Weighing, known: Weighed, setting: int = 0) -> Array:
     return np.array(found)
 
 
-VISIBLE = 1.2  # times the noise: smaller rests are within the uncertainty of the noise model
+VISIBLE = 1.2  # in units of the noise; a smaller misfit lies within the uncertainty of the noise model
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,16 +40,16 @@ from planrunner.gap.hypotheses.forms import (
     on_output,
 )
 
-FIRST = 6  # number of effects from which pairs are formed: the likeliest
-WEIGHED = 10  # number of pairs evaluated in full, selected by a quick evaluation
+FIRST = 6  # number of the most probable effects from which pairs are formed
+WEIGHED = 10  # number of pairs that are evaluated in full after a quick evaluation
 BEAM = 3  # number of sets that are extended
-EXTENDED = 4  # number of larger sets evaluated in full
-MOST = 5  # effects in a set
-WORTHWHILE = float(np.log(100.0))  # a set less likely than a smaller one by more than this is not extended
-MATTERS = 12.0  # nats below the likeliest setting of the noise at which a setting is left out
+EXTENDED = 4  # number of larger sets that are evaluated in full
+MOST = 5  # largest number of effects in a set
+WORTHWHILE = float(np.log(100.0))  # a set that is less probable than a smaller set by more than this is not extended
+MATTERS = 12.0  # nats; a setting of the noise that is less probable than the best setting by more than this is omitted
 PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
-_ROUNDS = 4  # evaluations of an effect on the output together with other effects
-_SAME = 0.1  # standard uncertainties by which an amplitude may change and count as the same
+_ROUNDS = 4  # number of evaluations of an effect on the output together with other effects
+_SAME = 0.1  # an amplitude counts as unchanged if it changes by less than this number of standard uncertainties
 
 
 @dataclass(frozen=True)
@@ -357,7 +357,7 @@ def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, fl
         grams = np.array([item.gram[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
         scores = np.array([item.score[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ mean
         values, vectors = np.linalg.eigh(grams)
-        # the energies of each variant are in units of its trace
+        # the energies of each variant are divided by its trace
         traces = np.array([item.trace for item in other.variants])[:, None]
         part = slice(last, last := last + count), slice(values.shape[1])
         size[part] = np.maximum(values, 0.0) / traces

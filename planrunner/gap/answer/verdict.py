@@ -31,7 +31,7 @@ from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.plan.model import NOMINAL_TERMS
 
 DISCRIMINABLE = 10.0  # non-centrality below which two effects are not distinguished
-ALIKE = 0.9  # share at and above which they form one class at any energy
+ALIKE = 0.9  # confusability above which two effects form one class at any energy
 _RIDGE = 1e-9
 
 
@@ -93,10 +93,10 @@ def matrix(candidates: Sequence[Candidate]) -> tuple[list[str], Array]:
     return [c.id for c in present], shared([candidate.best for candidate in present])
 
 
-STRONG = 2500.0  # twice the log evidence of an effect at 50 σ, above which errors of its idealised form are visible
-RESIDUE = 0.05  # share of the explained energy below which the rest may be form residue
-FORM = 0.01  # the same, below which a second effect or "something else" counts as form residue
-TWO_NAMES = 4.0  # nats of evidence between hypotheses that may have the same cause
+STRONG = 2500.0  # twice the log evidence of an effect of 50 σ; errors of the form of a stronger effect are visible
+RESIDUE = 0.05  # fraction of the explained energy below which the remaining energy may be form residue
+FORM = 0.01  # fraction below which a second effect or "something else" counts as form residue
+TWO_NAMES = 4.0  # nats, largest difference between the log evidences of hypotheses that may have the same cause
 
 
 def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
@@ -131,13 +131,13 @@ def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float
     return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
 
 
-RIVAL = 0.02  # fraction of the first's probability: less likely members of a class are left out, because the data exclude them
+RIVAL = 0.02  # smallest probability of a member of a class, relative to the most probable member
 UNCOMPARED = 0.1
 """The same as `RIVAL`, for hypotheses whose signatures cannot be compared: "unknown", and sets of effects on the noise."""
 COVERED = 0.95
-ELSEWHERE = 0.5  # share of an effect's energy in other channels at and above which it is not form residue
-BESIDE = 0.5  # the probability above which an effect on the noise, a tone or bursts are stated beside a cause
-SOMETHING_ELSE = 0.90  # the probability at and above which "unknown" is reported
+ELSEWHERE = 0.5  # fraction of an effect's energy in other channels at and above which the effect is not form residue
+BESIDE = 0.5  # probability above which an effect on the noise, a tone or bursts are stated in addition to a cause
+SOMETHING_ELSE = 0.90  # probability at and above which "unknown" is reported
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,7 +30,7 @@ from planrunner.base.arrays import Array
 WEAKEST, STRONGEST = 4.0, 1e4
 RANGE = float(np.log(STRONGEST / WEAKEST))
 _SWEEPS = 3
-_ROUNDING = 1e-14  # of the trace of a matrix, added to its diagonal
+_ROUNDING = 1e-14  # fraction of the trace of a matrix that is added to the diagonal
 ENERGIES = np.geomspace(0.5, 1e6, 25)  # grid of s², expressed as the expected energy
 GAIN = 0.01
 """Standard deviation of an amplitude that is 1 for physical reasons. The fitted amplitude can differ from 1, because the effect

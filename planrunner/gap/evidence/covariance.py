@@ -28,8 +28,8 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.spectrum import Spectrum
 
-OCTAVES = 2.0 ** np.arange(0, 15, 2)  # s, correlation times: from a second to hours, two octaves apart
-_LEAST = 1e-3  # least variance of a coefficient, relative to its own, that the other coefficients leave
+OCTAVES = 2.0 ** np.arange(0, 15, 2)  # s, correlation times from one second to hours, two octaves apart
+_LEAST = 1e-3  # smallest fraction of a coefficient's variance that the other coefficients do not explain
 
 
 @dataclass(frozen=True)

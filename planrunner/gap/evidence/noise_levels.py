@@ -22,13 +22,13 @@ from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, log_mean_e
 from planrunner.gap.evidence.rounding import is_coarse
 from planrunner.observation.lattice import COARSER, coarsening, holds, seen_levels, undeclared_step
 
-HOLDS = 0.02  # standard deviation of the logarithm of a correct declaration
+HOLDS = 0.02  # standard deviation of the logarithm of (true ÷ declared noise) if the declaration is correct
 WRONG = 0.2  # probability that a declaration is wrong by up to a factor of two
 EXCESS = HOLDS * np.sqrt(np.geomspace(WEAKEST, STRONGEST, 60))
 """Possible excesses of the white noise: the logarithms of the ratio of the true to the declared noise. The energy of an excess is
 (logarithm ÷ `HOLDS`)². This energy is log-uniform, like the energy of every effect."""
 _TRIADS = ("gyro", "accel")
-CERTAIN = 60.0  # log odds assigned to a lattice of counts that is seen, or not seen
+CERTAIN = 60.0  # log odds that the recording shows the true size of a count
 
 
 def counts(observed: Observed) -> Array:

@@ -28,29 +28,27 @@ from planrunner.gap.evidence.covariance import Blocks
 from planrunner.gap.evidence.spectrum import UPPER, SpectralBasis, Spectrum
 from planrunner.plan.schedule import Rest
 
-CARRIED = 4.0  # coefficients' worth of the next higher band that every band of a common spectrum counts in addition
+CARRIED = 4.0  # weight of the next higher band in the level of a band of a common spectrum, as a number of coefficients
 OWN = 16.0  # the same for the spectrum of one segment
-_ROUNDS = 2  # alternations of levels and spectra
-_LEAKAGE_ROUNDS = 10  # steps that remove the leakage of the cosine transform from a spectrum
-_KEPT = 0.3  # share of a density that they leave at least, because noise that is not stationary leaks differently
-_WINDOWS = 16  # of a segment, whose median energy is its level, so that a burst in some of them does not raise it
-_EFFICIENCY = 2 / np.pi  # of a median, relative to a mean
-_MEDIAN = 0.4549  # of χ² with one degree of freedom
+_ROUNDS = 2  # number of times that the levels and the spectra are computed in turn
+_LEAKAGE_ROUNDS = 10  # number of steps that remove the leakage of the cosine transform from a spectrum
+_KEPT = 0.3  # smallest fraction of a density that these steps keep, because non-stationary noise has another leakage
+_WINDOWS = 16  # number of windows of a segment; the level is the median of their energies, which a burst does not raise
+_EFFICIENCY = 2 / np.pi  # efficiency of a median, relative to a mean
+_MEDIAN = 0.4549  # median of χ² with one degree of freedom
 _OF_MEDIAN = 0.368  # efficiency of the median of squares of normal values as an estimate of their variance
-_COUNTED = 2.0  # coefficients of a band with which the variance of a segment in this band can be measured
-_SEGMENTS = 4  # segments with such a band from which the scatter between segments can be measured
-_VARIOUS = 4.0  # degrees of freedom of the scatter between segments, at least
-_SAME = 1e3  # degrees of freedom from which on the segments count as alike
-_NARROW = 4.0  # degrees of freedom with which the noise near the frequency of a harmonic can be measured
+_COUNTED = 2.0  # smallest number of coefficients of a band from which its variance in a segment is measured
+_SEGMENTS = 4  # smallest number of such segments with which the scatter between segments is measured
+_VARIOUS = 4.0  # smallest degrees of freedom of the scatter between segments
+_SAME = 1e3  # degrees of freedom at and above which the variances of the segments count as equal
+_NARROW = 4.0  # smallest degrees of freedom with which the noise near the frequency of a harmonic is measured
 _STANDING = 0.1
 """The level of a segment is at least this fraction of the median level of all segments or, if the level at rest is lower, of the
 level at rest. This limit is necessary because a limited or stuck output has little noise or none, but is not more precise than
 other outputs."""
 _LEAST_SEEN = 1e-6
 """Fraction of the energy of a vector of the basis that the remaining samples must show, so that they determine its coefficient."""
-_SMALLEST = (
-    1e-6  # level relative to the white noise below which noise does not lie, such as that of a count that stands
-)
+_SMALLEST = 1e-6  # smallest level relative to the white noise, for example of an output that stays at one count
 
 
 @dataclass(frozen=True)

@@ -31,14 +31,14 @@ from planrunner.gap.evidence.noise_within import NoiseWithin
 from planrunner.gap.evidence.spectrum import Spectrum
 from planrunner.observation.bins import SPIKE
 
-MOST = 3  # outliers of a channel in a segment, or this share of its samples if that is more: more belong to the noise or to an effect
+MOST = 3  # largest number of outliers of a channel in a segment; `SHARE` may allow more
 SHARE = 1e-3
-LARGEST = 30  # limit of that share, because the time grows with the square of the number of outliers
-LEAST = 64  # samples of a segment that is examined
+LARGEST = 30  # upper limit of that number, because the time grows with the square of the number of outliers
+LEAST = 64  # smallest number of samples of a segment that is examined
 _NEAR = np.array([*range(-4, 6), -32, -24, -16, -12, -8, -6, 7, 9, 13, 17, 25, 33])
 """Possible starts of a step, in samples after an outlier."""
-_TRIED = 16  # samples with the largest errors, for which P_tt is computed exactly
-_ROUGHLY = 0.5  # share of the exact statistic that the rough one reaches at least
+_TRIED = 16  # number of samples with the largest errors, for which P_tt is computed exactly
+_ROUGHLY = 0.5  # smallest ratio of the approximate to the exact statistic
 _DEVIATION = 0.6745  # median absolute value of a normal variable
 
 

@@ -130,7 +130,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
                     f"the fit of bias, scale factor and misalignments does not explain {share:.0%} of the applied input"
                 )
                 message = f"'{channel.name}' does not follow the plan: {left_over}"
-                # Beside a reference, what an accelerometer feels at its own place may exceed all that it has in common with it.
+                # At another place than the reference, an accelerometer may measure a larger acceleration than the common one.
                 add = log.warning if observed.moved.any() else log.error
                 add("gap-nominal-misfit", mark, message, _LOOK)
             elif told and float(np.abs(fitted[:3, column] - np.eye(3)[channel.axis]).max()) > MISFIT:

@@ -21,13 +21,13 @@ from planrunner.plan.schedule import Rest
 NOISES = np.geomspace(0.02, 1.0, 24)  # standard deviations that are compared, in counts
 SPREADS = np.geomspace(0.02, 4.0, 32)  # standard deviations of the noises of a mixture, in counts
 MIXED = 1.5  # scatter of a channel, in counts, above which no mixture is considered
-PLACES = np.linspace(-1.0, 1.0, 801)  # positions of a true mean about a count, in counts
-DITHERED = 0.5  # noise, in counts, below which rounding makes the noise depend on the reading
+PLACES = np.linspace(-1.0, 1.0, 801)  # positions of a true mean relative to a count, in counts
+DITHERED = 0.5  # noise, in counts, below which the noise after rounding depends on the reading
 DOUBT = float(np.log(2.0))  # standard deviation of the logarithm of the declared noise
-STRAY = 1e-4  # share of samples that are not explained by the noise
-HARMONICS = np.arange(1, 101)  # of the saw-tooth
-_ROUNDS, _STEPS = 3, 20  # of expectation maximisation; the true means are computed again in every round
-_MOST = 60  # counts that a segment at rest may reach
+STRAY = 1e-4  # fraction of samples that the noise does not explain
+HARMONICS = np.arange(1, 101)  # orders of the harmonics of the saw-tooth
+_ROUNDS, _STEPS = 3, 20  # rounds and steps of expectation maximisation; every round computes the true means again
+_MOST = 60  # largest number of different counts in a usable segment at rest
 
 
 def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:

@@ -30,12 +30,12 @@ from planrunner.observation.bins import SPIKE
 from planrunner.plan.schedule import RecordedMotion, Rest, Rock, Spin
 
 LOW_ORDERS = 5
-OCTAVES = 12  # below half the sampling rate, down to which the remainder is divided into bands
-FINE = 5  # uppermost octaves, each of which has four bands
-UPPER = 0.999 / 8  # of the sampling rate: bands from here on define the white level, above all slow processes
+OCTAVES = 12  # number of octaves below half the sampling rate in which the remainder is divided into bands
+FINE = 5  # number of the highest octaves, each of which has four bands
+UPPER = 0.999 / 8  # fraction of the sampling rate above which the bands define the white level
 RESPONSE = -1
 """Marks the coefficients of the response to a recorded motion. This value is used instead of the order of a harmonic."""
-_DEPENDENT = 0.05  # share of its norm that a harmonic must retain after the lower orders are removed
+_DEPENDENT = 0.05  # smallest fraction of its norm that a harmonic must keep after the lower orders are removed
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ from planrunner.gap.evidence.noise_within import NoiseWithin
 from planrunner.gap.evidence.spectrum import Spectrum
 
 FLICKER_FACTORS = (1.0, 0.5, 2.0)
-FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal about the declared level, a factor of two either way
+FLICKER_PRIOR = (0.5, 0.25, 0.25)  # log-normal prior about the declared level, with a width of a factor of two
 WALKS = np.geomspace(WEAKEST, 10 * STRONGEST, 13)
 """Levels of an undeclared random walk. Each level is stated as the expected energy of the random walk in the segment means of the
 triad, in units of the noise of these means."""
@@ -467,7 +467,7 @@ def independent(columns: Array) -> Array:
 
 Rows = NDArray[np.bool_]
 Eigen = tuple[Array, Array]  # eigenvalues (n,) and squared scores (n,)
-_NOTHING = 1e-6  # norm up to which a nominal direction is only a rounding error
+_NOTHING = 1e-6  # largest norm of a nominal direction that is only a rounding error
 
 
 class Left:

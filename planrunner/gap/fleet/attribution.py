@@ -60,14 +60,14 @@ LARGEST = 10.0
 SURE = 0.95
 """A source is named if its probability is at least this value, and excluded if its probability is below 1 − SURE."""
 COVERAGE = 0.95
-_POINTS = (1, 33, 17, 11, 9)  # of the grid of one σ, for 0 to 4 components
+_POINTS = (1, 33, 17, 11, 9)  # number of points of the grid of one σ, for 0 to 4 components
 _ROUNDS = 5
-_REACH = 12.0  # nats below the maximum within which the grid is kept
-_SHRINKING = 0.7  # share of its width above which a further round would not make the grid finer
+_REACH = 12.0  # nats; the next grid covers all points whose log evidence is below the maximum by less than this
+_SHRINKING = 0.7  # if a new grid is wider than this fraction of the old one, the search ends
 _CONSIDERED = 1e-4  # smallest weight, relative to the largest, of a grid point that contributes to the parts
-_HELD = 0.999  # share of the posterior whose points are used for the parts
+_HELD = 0.999  # fraction of the posterior probability that the points used for the parts contain
 _BISECTIONS = 22
-_NUMBERS = 2_000_000  # of the matrices M that are in memory at once
+_NUMBERS = 2_000_000  # largest number of matrix elements in memory at once
 
 
 @dataclass(frozen=True)

@@ -44,13 +44,13 @@ from planrunner.physics.sampled_motion import AngleFrom
 from planrunner.plan.model import NOMINAL_TERMS
 from planrunner.plan.schedule import Rest
 
-ABSORBED = 1e-4  # share of a signature's energy that remains through rounding when nominal parameters absorb an effect completely
+ABSORBED = 1e-4  # fraction of a signature's energy up to which the remainder is due to rounding
 FULL = NOMINAL_TERMS
 EXCLUDED = -15.0  # log probability below which amplitudes count as physically impossible: 5 σ beyond a limit
-_QUANTILES = 256  # of the noise of a sample
+_QUANTILES = 256  # number of quantiles of the noise of a sample
 _AT_ONCE = 1 << 23  # values of whitened columns at all settings of the noise that are in memory at a time: 64 MB
-_ROUNDING = 1e-13  # of a signal: smaller changes are rounding errors
-_UNLIKELY = 1e-3  # share of the probability below which a setting of the noise is left out
+_ROUNDING = 1e-13  # fraction of a signal; smaller changes are rounding errors
+_UNLIKELY = 1e-3  # probability at and below which a setting of the noise is omitted
 
 
 @dataclass(frozen=True)
@@ -556,7 +556,7 @@ class Weighing:
                 coefficients_of(self.observed, self.spectrum, [c for variant in group for c in variant.columns])
             )
             variants += map(_without_samples, group)
-            del group  # before the next one is made
+            del group  # releases the memory before the next group is made
         return variants, [np.hstack([block.pop(0) for block in blocks]) for _ in self.observed.channels]
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:

@@ -37,7 +37,7 @@ ALIKE = 0.1
 such delays differ by at most this fraction of the explained part, the shortest delay is chosen."""
 SURE = 5.0
 """A delay, or a change of the delay, must exceed its standard uncertainty by this factor."""
-_ROUNDS = 3  # corrections, of which each measures what the one before left
+_ROUNDS = 3  # largest number of corrections; each correction measures the remaining delay
 FEWEST = 30
 """Smallest number of samples with which the delay of a segment is measured."""
 
@@ -69,7 +69,7 @@ def in_step(
     total = dict.fromkeys(found, 0.0)
     steps = {label: period * float(size) for label, size in zip(observed.labels, observed.bin_size, strict=True)}
     for _ in range(_ROUNDS):
-        # Only whole samples are shifted: what is left of a delay is measured again, and must not count twice.
+        # The outputs are shifted by whole samples. The remaining delay is measured again and must not count twice.
         total = {
             label: steps[label] * round((late + found[label].seconds) / steps[label])
             for label, late in total.items()
@@ -202,7 +202,7 @@ def _of_segment(observed: Observed, rows: slice) -> Delay | None:
     without = residual(0.0)
     good = np.flatnonzero(shares <= shares.min() + ALIKE * max(without - shares.min(), 0.0))
     near = good[np.argmin(np.abs(tried[good]))]
-    for way in (-1, 1):  # down to the bottom
+    for way in (-1, 1):  # goes on to the local minimum
         while 0 < near < len(tried) - 1 and shares[near + way] < shares[near]:
             near += way
     bottom = minimize_scalar(

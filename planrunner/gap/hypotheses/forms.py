@@ -43,11 +43,11 @@ from planrunner.gap.evidence.bayes_factors import RANGE, log_mean_exp
 from planrunner.gap.evidence.weighing import coefficients_of
 from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
 
-_REFINE = 8.0  # log BF at and above which a shape is refined
-BENT = 30.0  # log BF at and above which an effect may distort the fit of the nominal parameters
+_REFINE = 8.0  # log Bayes factor above which the grid of a shape is refined
+BENT = 30.0  # log Bayes factor above which an effect may distort the fit of the nominal parameters
 _SETTLING, _GAINED = 8, 1.0  # maximum number of refits; gain in nats that justifies another one
 WORSE = float(np.log(100.0))  # a more exact form is rejected if it is less likely by more than this
-_STILL = 0.1  # standard deviations of the noise by which an effect, or the sum of the secants, may still change
+_STILL = 0.1  # standard deviations of the noise; a smaller change of an effect counts as no change
 
 _WIDTHS = (1000.0, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0)
 """Steps of the differences that replace derivatives in the first iterations, in standard uncertainties of the output."""
@@ -112,7 +112,7 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
     if isinstance(effect, CurvedAndShaped) and float(log_bayes.max()) > BENT:
         usable, log_bayes = _along_secants(weighing, effect, usable, log_bayes)
     if isinstance(effect, Curved) and (float(log_bayes.max()) > BENT or usable[0].excluded):
-        # The amplitude of the linear approximation may be impossible although the exact one is possible.
+        # The amplitude of the linear approximation may be impossible even if the exact amplitude is possible.
         usable, log_bayes = _curved(weighing, effect, usable, log_bayes)
     return Candidate(effect, tuple(usable), log_bayes, weighing.likeliest[0], settled, whole)
 
@@ -209,7 +209,7 @@ def _averaged(forms: Sequence[Weighed]) -> Array:
     """Returns the log Bayes factor (G,), averaged over the shapes of an effect with the amplitude 1. The energy λ of the effect, in
     units of the noise, has the same prior as for other effects."""
     width = np.abs(np.gradient(np.log([form.trace for form in forms]))) / RANGE
-    if not width.any():  # all forms have the same energy, which has no share in the prior
+    if not width.any():  # all forms have the same energy, so the prior has no width
         return np.full(len(forms[0].log_bayes), -np.inf)
     share = width / width.sum()
     stacked = np.array([form.log_bayes for form in forms])
@@ -246,14 +246,14 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
 
 
 _STEPS = 20
-_STEPS_BESIDE = 3  # steps beside other effects, whose amplitudes are fitted again before the next steps
+_STEPS_BESIDE = 3  # number of steps with other effects, whose amplitudes are fitted again before the next steps
 _ROUNDS = 15
-_SAME = 0.05  # standard deviations by which two shapes may differ and count as the same
-_DROP = 0.5  # nats below the best: one standard deviation
-_TOLD = 1.0  # nats that an effect of any shape must explain beyond none
-_CLOSER = 16  # times by which a parabola narrows the search for a shape
+_SAME = 0.05  # standard deviations; two shapes that differ by less count as equal
+_DROP = 0.5  # nats below the best log evidence, which correspond to one standard deviation
+_TOLD = 1.0  # nats by which an effect must be more probable than no effect
+_CLOSER = 16  # factor by which a parabola narrows the search for a shape
 _NEARBY = 6  # shapes between a shape and the next one of the grid
-_SPAN, _FORMS = 4.0, 17  # standard deviations either way, and values among them
+_SPAN, _FORMS = 4.0, 17  # range in standard deviations on both sides, and number of values in this range
 
 
 def shape_alone(candidate: Candidate) -> Shaped | None:
@@ -513,7 +513,7 @@ def _parabola(place: Array, evidence: Array, top: int) -> tuple[float, float]:
     return float(place[top] + np.clip(-slope / (2 * bend), -reach, reach)), float(1 / np.sqrt(-2 * bend))
 
 
-_FITS = 12  # iterations of Gauss–Newton
+_FITS = 12  # number of Gauss–Newton iterations
 _ROUNDING = 1e-6
 """If the output changes by less than this fraction of a change of the nominal output, it counts as constant. Smaller changes are
 rounding errors, which must not count as information about the parameters."""

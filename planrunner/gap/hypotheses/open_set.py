@@ -30,14 +30,14 @@ from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets
 
 PERIODIC = Pattern("offset periodic in time", Sort.SEVERAL, Factor.TIME)
 ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
-WAVEFORM = 4  # harmonics of a smooth one
+WAVEFORM = 4  # harmonics of a smooth waveform
 EDGED = 16  # harmonics of a waveform with edges
-MOST = 400  # periods of a bias that are tried at most
-CYCLES = 2  # of a segment, at the shortest period
-FINER = 8  # by which the grid about a likely period is finer
-PEAKS = 3  # likely periods of a scope
-NOTABLE = 4.0  # nats of the best period at and above which edges are searched for
-NODES = 24  # of a segment, at which waves are taken
+MOST = 400  # largest number of periods of a bias that are tried
+CYCLES = 2  # number of cycles in a segment at the shortest period
+FINER = 8  # factor by which the grid near a likely period is finer
+PEAKS = 3  # number of likely periods of a scope
+NOTABLE = 4.0  # log evidence of the best period above which waveforms with edges are evaluated
+NODES = 24  # number of points of a segment at which waves are evaluated
 
 
 @dataclass(frozen=True)

@@ -32,14 +32,14 @@ TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
 PLAIN = 8.0
 """If the log Bayes factor of a tone is above this value, the tone is reported. If the log Bayes factor of one sort of patterns is
 at least this value, the coefficients of this sort are removed before the other sorts are evaluated."""
-LONGEST_SCAN = 1 << 22  # points of the line scan's time grid
-BLOCK = 1024  # frequencies over which the local level of a periodogram is taken
+LONGEST_SCAN = 1 << 22  # largest number of points of the time grid of a scan
+BLOCK = 1024  # number of frequencies in a block of a periodogram
 MATERIAL = float(np.expm1(2 * HOLDS))
 """If the power of a tone, divided by the variance of the noise, is at least this value, the tone is not a part of correctly
 declared noise."""
-_TUNINGS = 4  # corrections of the frequency of a fitted tone
-_NEAR = 8  # spacings of a periodogram about its highest frequency, between which finer values are tried
-_BLOCKS = 1024  # of time, over which shifted samples are summed
+_TUNINGS = 4  # number of corrections of the frequency of a fitted tone
+_NEAR = 8  # number of spacings on each side of a frequency that are searched at finer steps
+_BLOCKS = 1024  # number of blocks of time over which shifted samples are summed
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,13 +254,13 @@ def _tone(powers: list[Array]) -> float:
 
 
 BURSTS = Pattern("bursts", Sort.BURSTS, Factor.TIME)
-LENGTHS = (1.0, 2.0, 4.0)  # s, of the windows in which bursts are searched
+LENGTHS = (1.0, 2.0, 4.0)  # s, lengths of the windows in which bursts are searched for
 CHANCES = (0.005, 0.02, 0.08)  # probability of a burst in a window
-ENERGIES = np.geomspace(4.0, 4000.0, 12)  # of a burst in one channel, in units of the noise
-FEWEST = 16  # windows of segments that last alike, and samples of one
-KEPT = 0.5  # share of a shifted bias that must remain outside the coefficients
-_MEDIAN = 0.4549  # of the square of a normal variable
-_DEVIATION = 0.6745  # median absolute deviation of a normal variable
+ENERGIES = np.geomspace(4.0, 4000.0, 12)  # energies of a burst in one channel, in units of the noise
+FEWEST = 16  # smallest number of windows in segments of equal length, and of samples in a window
+KEPT = 0.5  # fraction of the energy of a shifted bias that must remain outside the coefficients
+_MEDIAN = 0.4549  # median of the square of a normal variable
+_DEVIATION = 0.6745  # median absolute value of a normal variable
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ CHANGING = Pattern("offset and transient while the temperature changes", Sort.SE
 changes."""
 SIZES = Pattern("size of the effect by motion", Sort.SEVERAL, Factor.RATE)
 SMOOTH_ORDERS = 6
-TIME_ORDERS = 40  # of a drift over the run
+TIME_ORDERS = 40  # number of orders of a drift over the run
 
 
 def designs(weighing: Weighing) -> Iterator[PatternDesign]:

@@ -29,12 +29,12 @@ from planrunner.gap.hypotheses.outside import CHANCES, KEPT, LENGTHS, whole_and_
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 
 SHORT_OFFSETS = Pattern("offset for a few seconds", Sort.SEVERAL, Factor.TIME)
-STEPS = 2  # windows of one length that begin within this length
-MOST = 16  # offsets that are fitted
-COMPARED = 8  # windows with the largest energy of the fit, for which the evidence is computed
-LARGEST = 1 << 24  # coefficients of all windows of one length; longer runs are not examined
+STEPS = 2  # number of windows of one length that begin within this length
+MOST = 16  # largest number of offsets that are fitted
+COMPARED = 8  # number of windows with the largest energy of the fit, for which the evidence is computed
+LARGEST = 1 << 24  # largest number of coefficients of all windows of one length; longer runs are not examined
 
-_NOTHING = 1e-9  # of the largest energy of a window: smaller energies are rounding errors
+_NOTHING = 1e-9  # fraction of the largest energy of a window; smaller energies are rounding errors
 
 
 @dataclass(frozen=True)
