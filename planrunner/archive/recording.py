@@ -36,9 +36,9 @@ class Statistics:
     `covariance` and `standard_error` then describe the differences from the fitted signal. `start`, `end`: times of the first and
     of the last sample, s. `largest_gap`: longest time between consecutive samples, s. `course`: array of shape (p, batches),
     averages over each batch of the p functions of the periodic signal. The fit reduces the degrees of freedom of the scatter of the
-    batch means. The averages are scaled so that, for uncorrelated samples, the sum of their squares is the size of this reduction.
-    `mean_covariance`: array of shape (k, k), covariance matrix of the channels' means, from the same batch means as
-    `standard_error`; shape (0, 0) if it is unknown.
+    batch means. The averages are scaled so that, for uncorrelated samples, the sum of the squared averages equals this reduction of
+    the degrees of freedom. `mean_covariance`: array of shape (k, k), covariance matrix of the channels' means, from the same batch
+    means as `standard_error`; shape (0, 0) if it is unknown.
     """
 
     channels: tuple[str, ...]

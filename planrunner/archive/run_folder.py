@@ -361,8 +361,8 @@ class RunWriter:
         reason: str = "",
         frames: Mapping[str, Json] | None = None,
     ) -> None:
-        """Finishes the segment's files and acknowledges it. `clock`, `states`: time and states from which the run can continue
-        after this segment. `frames`: frame counts of the sensor."""
+        """Finishes the files of the segment, and acknowledges the segment. `clock`, `states`: time and states from which the run
+        can continue after this segment. `frames`: frame counts of the sensor."""
         assert self._segment is not None
         parts = self._close_samples()
         event = {

@@ -11,7 +11,7 @@ periodic signal in the samples. In this module, this signal is called the course
 differences from the course. The course is fitted to averages over a few consecutive samples; a batch contains many such averages.
 The fitted course is then subtracted from the batch means, and its contribution is subtracted from the covariance.
 
-The course repeats with the period of the motion. If an output is linear in the sensed quantity, it contains the fundamental
+The course repeats with the period of the motion. An output that is linear in the sensed quantity contains the fundamental
 frequency; a second-order effect adds twice this frequency. The amplitude and phase of the fundamental may change linearly over the
 segment: if the rate of a table is wrong by some ppm, the phase of the signal drifts away from the planned phase. A rocking table
 causes more harmonics, because the sensed quantity is a sine of an angle that is itself a sine of time.

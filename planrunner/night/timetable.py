@@ -219,7 +219,7 @@ class NightCourse:
         return state.failed
 
     def _wait(self, index: int, since: float) -> None:
-        """Makes a test wait until an instant. If it also waits for other tests, it may wait longer."""
+        """Makes a test wait until an instant. A test that also waits for other tests may wait longer."""
         test, state = self.tests[index], self._tests[index]
         bench = self._benches[test.bench]
         state.state, state.since = "waiting", since
@@ -230,7 +230,8 @@ class NightCourse:
             self._lost.add(index)
 
     def _settle(self, index: int) -> None:
-        """Handles a test that has its result or will not run: tests that waited for it can now begin, or can no longer run."""
+        """Handles a test that has its result or will not run: tests that waited for this test can now begin, or can no longer
+        run."""
         for other in self._followers[index]:
             state = self._tests[other]
             state.pending -= 1

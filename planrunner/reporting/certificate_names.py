@@ -1,5 +1,5 @@
-"""Provides names that certificates show in their own language: names of conditions, of estimators, and of references that are named
-after their role.
+"""Provides names that a certificate shows in the language of the certificate: names of conditions, of estimators, and of references
+that are named after their role.
 
 In English, an estimator has the name that plans use. An estimator of a plug-in package has this name in every language.
 """

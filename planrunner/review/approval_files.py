@@ -179,7 +179,7 @@ def entry_of(approval: StatedApproval) -> JsonObject:
 
 
 def entries_of(given: Iterable[Mapping[str, Json]]) -> tuple[tuple[StatedApproval, ...], tuple[DamagedApproval, ...]]:
-    """Reads the approvals in entries from the files of a run; returns the approvals, and separately the entries that are not
+    """Reads entries of approvals from the files of a run. Returns the approvals and, as a second value, the entries that are not
     approvals."""
     read = [read_stated(str(one["file"]), str(one["envelope"]).encode()) for one in given]
     good = tuple(one for one in read if isinstance(one, StatedApproval))
@@ -200,8 +200,8 @@ def keep(
 
 
 def kept_approvals(data: bytes, run: Path) -> tuple[KeptApprovals, tuple[DamagedApproval, ...]]:
-    """Reads `approvals.json` of a run folder; returns its content, and separately the entries that are not approvals. Raises
-    `IntegrityError` for a file that does not have the form of `approvals.json`."""
+    """Reads `approvals.json` of a run folder. Returns its content and, as a second value, the entries that are not approvals.
+    Raises `IntegrityError` for a file that does not have the form of `approvals.json`."""
     value = parse_json(data, run / APPROVALS, "approvals", "planrunner_approvals", FORMAT)
     good, bad = entries_of(value["approvals"])
     try:

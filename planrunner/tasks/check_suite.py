@@ -359,7 +359,7 @@ def _check_information(checked: CheckedSuite, suite: Suite) -> None:
 
 
 def _check_devices(checked: CheckedSuite, suite: Suite) -> None:
-    """Checks that no device is tested on two real benches, because nobody can move it at night."""
+    """Checks that no device is tested on two real benches, because nobody can move the device at night."""
     real = {bench for (_, bench, _), answer in checked.plans.items() if answer.ok and not answer.virtual}
     for name, device in suite.devices.items():
         places = sorted({test.bench for test in checked.tests if test.device == name} & real)

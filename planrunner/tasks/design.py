@@ -50,7 +50,7 @@ def _subject(checked: Checked) -> Subject:
 
 def write_plan(text: str, original: str, path: Path, bench: str | None = None) -> Checked:
     """Checks a designed plan and writes it to a file. `original`: file of the plan from which the designed plan was made. Raises
-    `InputError` with the faults of the designed plan, and `EstimationError` if it would overwrite the original."""
+    `InputError` with the faults of the designed plan, and `EstimationError` if the designed plan would overwrite the original."""
     if path.exists() and path.samefile(original):
         raise EstimationError(f"{path} is the plan itself: write to another file")
     data = text.encode()

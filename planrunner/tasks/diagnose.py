@@ -208,7 +208,7 @@ def _compare_with_specification(recorded: Recorded, found: Diagnosis, log: Findi
     """Warns about nominal terms whose values are outside the specification in the bench file. If there is no specification, the
     usual limits of the sensor's grade are used, and the grade is determined from the sensor's noise. The values come from the fit
     of the simulation or from the diagnosis. A value with an uncertainty above the usual limit is ignored: the plan does not
-    determine it, so it shows nothing about the sensor."""
+    determine this value, so the value shows nothing about the sensor."""
     from planrunner.bench.specification import SENSES, grade_of
     from planrunner.gap.answer.parameters import nominal_values
     from planrunner.reporting.rounding import rounded

@@ -74,9 +74,9 @@ class Analysis:
 class Evaluated:
     """Contains an analysis that has been computed but not written.
 
-    `bench`: the bench of the run; if it signs its runs, it also signs the analysis. `basis`: the state of the journal and the seal
-    from which the analysis was made. `files`: maps the name of each file to its contents. `reports`: names of the files that are
-    reports. The other attributes have the same meaning as in `Analysis`.
+    `bench`: the bench of the run; a bench that signs its runs also signs the analysis. `basis`: the state of the journal and the
+    seal from which the analysis was made. `files`: maps the name of each file to its contents. `reports`: names of the files that
+    are reports. The other attributes have the same meaning as in `Analysis`.
     """
 
     run: Path
