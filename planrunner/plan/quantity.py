@@ -133,8 +133,8 @@ def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
     """Parses the values of a sweep, such as `±300, ±150 deg/s` or `10, 20, 30 deg`; ± gives two values, first the positive value
     and then the negative value. Raises `QuantityError` if the text is not such a list.
 
-    A unit after the last value applies to values without a unit. A comma separates two values only if a space follows; a comma
-    without a space is a decimal comma.
+    A unit after the last value applies to values without a unit. A space must follow every comma between two values. A comma
+    without a following space is refused, because it may be a decimal comma.
     """
     if re.search(r",[^ \t\r\n\u00a0\u2009\u202f]", text):
         hint = "write a decimal point (1.5 deg/s), or a space after the comma between two values (1, 5 deg/s)"

@@ -396,7 +396,7 @@ _EXAMINE = "examine the recording; an error of single samples does not cause a g
 
 
 def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> Recorded:
-    """Returns the recording without spikes and repeated samples, as estimates use it; the log names these samples. Bursts and
+    """Removes spikes and repeated samples from the recording, as estimates also do; the log names these samples. Bursts and
     stretches with clipped or stuck samples are kept, because the diagnosis explains them."""
     from planrunner.observation.screening import screened, without_bad
 
