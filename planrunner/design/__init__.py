@@ -1,1 +1,1 @@
-"""Computes, before a planned test runs, what it can and cannot determine."""
+"""Predicts which quantities a planned test can and cannot determine."""

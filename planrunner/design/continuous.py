@@ -32,8 +32,8 @@ class Continuous:
     `shares`: array of shape (N,), the fractions, which add up to 1. `matrix`: array of shape (p, p), the information matrix M per
     observation. `excess`: the ratio of the largest derivative of the criterion to `mean`, minus 1. A value of 1e-6 means that no
     design is better by more than one part in a million. `value`: |M| (criterion D) or tr(W·M⁻¹). `mean`: mean of the derivative
-    over the candidates, weighted by `shares`. Without fixed information, it is p (criterion D) or `value` (linear criterion); with
-    fixed information, it is smaller.
+    over the candidates, weighted by `shares`. Without fixed information, this mean is p (criterion D) or `value` (linear
+    criterion); with fixed information, it is smaller.
     """
 
     shares: Array

@@ -213,7 +213,7 @@ class Study:
 
     `varied`: name of the designed quantity, such as `positions`. `heading`: heading in one line. `poses`: rows of orientations to
     be drawn, by the title of the row. `footer`: explanation of the numbers. `data`: all results as plain data. `text`: the plan
-    with the chosen design; empty if there is none, and `missing` then gives the reason.
+    with the chosen design; empty if no design was chosen. `missing`: the reason why `text` is empty.
     """
 
     subject: Subject

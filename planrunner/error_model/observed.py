@@ -564,7 +564,8 @@ STANDARD_PRESSURE = 101325.0  # Pa
 
 @dataclass(frozen=True)
 class Bins:
-    """Describes how a long recording was averaged in bins, and what was measured on the single samples before.
+    """Describes how a long recording was averaged in bins, and contains quantities that were computed from the single samples
+    before averaging.
 
     `size`: array of shape (S,), number of samples per bin in each segment. `rate`: sampling rate, Hz. `energy`: array of shape (S, K, K)
     in SI², sums of products of the DCT-II coefficients of two channels. The sums include only the upper three quarters of the orders.

@@ -2,8 +2,8 @@
 
 A linear term gives one column of a design matrix. An estimator determines the coefficient of a term from the recorded stimulus;
 before a run, the check uses the planned stimulus to predict the observability and the uncertainty of the coefficient. (The virtual
-gyro uses none of this code: it has separate formulas for the balance of its rotor, so that an error in a formula cannot affect
-simulator and estimators alike.) Terms are found through the entry-point group `planrunner.terms`.
+gyro uses none of this code: it has separate formulas for the balance of its rotor, so that an error in a formula cannot affect both
+simulator and estimators.) Terms are found through the entry-point group `planrunner.terms`.
 """
 
 from __future__ import annotations

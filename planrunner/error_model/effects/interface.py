@@ -4,8 +4,8 @@ recording. A column contains the change of the outputs for a unit amplitude.
 An effect is a class found through the entry-point group `planrunner.effects`. A simulation adds effects, the estimator
 `error_model` fits their amplitudes, and the diagnosis decides whether the data support them. An effect may act on several channels
 simultaneously, have a shape (such as a time constant), or change the noise. An estimate can fit most effects (see
-`segment_columns.estimable`). It fits the shape of an effect to the means of segments if the effect lasts longer than a segment
-(`ShapedOverSegments`), and to the samples if the effect changes an output within segments (`ChangesWithinSegments`).
+`segment_columns.estimable`). If an effect lasts longer than a segment (`ShapedOverSegments`), its shape is fitted to the means of
+segments. If an effect changes an output within segments (`ChangesWithinSegments`), its shape is fitted to the samples.
 
     class MyEffect:
         id = "my_effect"                      # the entry point's name

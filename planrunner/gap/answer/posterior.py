@@ -264,8 +264,8 @@ def _of_effects(
     noise: _NoiseOnly,
     known: Mapping[str, EffectSet] | None = None,
 ) -> tuple[dict[str, float], dict[str, EffectSet]]:
-    """Returns two results: the log evidence of the hypotheses relative to "none", for "none", for single effects and for sets of
-    effects; and the sets that were evaluated in full. `known`: the same as in `sets_of`."""
+    """Returns two results. The first is the log evidence relative to "none" of the following hypotheses: "none", single effects,
+    and sets of effects. The second contains the sets that were evaluated in full. `known`: the same as in `sets_of`."""
     nothing = np.zeros(len(weighing.base))
     start = weighing.evidence(nothing) + noise.declared
     alone = {"": nothing} | {c.id: c.log_bayes for c in candidates if np.isfinite(c.log_bayes).any()}
@@ -324,10 +324,11 @@ def _with_something_else(
     """Evaluates something else in addition to effects. Returns two results: the log evidence of causes outside the catalogue that
     resemble one of the effects, and the log weights of hypotheses in which something else acts in addition to a set of effects.
 
-    Some of the effects may only imitate something else. Therefore, something else is evaluated in addition to several sets, the
-    last one first, until it is no longer visible. Two kinds of sets are omitted: sets with physically impossible amplitudes, and
-    sets whose evidence is small compared with something else (`IMPERFECT`). If something is visible in addition to a single effect,
-    the effect itself may be imitated: a cause outside the catalogue may resemble it, but depend on the motion in another way.
+    Some of the effects may only imitate something else. Therefore, something else is evaluated in addition to several sets,
+    beginning with the last set. The evaluation ends when something else is no longer visible. Two kinds of sets are omitted: sets
+    with physically impossible amplitudes, and sets whose evidence is small compared with something else (`IMPERFECT`). If something
+    is visible in addition to a single effect, the effect itself may be imitated: a cause outside the catalogue may resemble it, but
+    depend on the motion in another way.
 
     `tried`: the sets, that is, each effect of the likeliest set, and the growing sets that `_chain` returns. `found`: log evidence
     of each set and of "unknown". `count`: number of effects that the plan can excite.
@@ -354,9 +355,9 @@ def _as_named(
     """Divides the probability of effects among the sets as in `named`, and adds the hypotheses with something else; returns log
     weights.
 
-    `more`: log weights of sets of effects in combination with something else. If the set of such a weight is one of the probable
-    sets, the weight is divided among the probable sets of the same size, in proportion to `named`. Sets with a random walk (`walk`)
-    are excluded, because a random walk explains the same part of the gap as something else.
+    `more`: log weights of sets of effects in combination with something else. If such a set is one of the probable sets, its log
+    weight is divided among all probable sets of the same size, in proportion to `named`. Sets with a random walk (`walk`) are
+    excluded, because a random walk explains the same part of the gap as something else.
     """
     whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
     made = {name: value for name, value in logs.items() if name in PRIORS}

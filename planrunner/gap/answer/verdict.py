@@ -100,11 +100,11 @@ TWO_NAMES = 4.0  # nats, largest difference between the log evidences of hypothe
 
 
 def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
-    """Finds an effect or a pair of effects that explains nearly as much of the gap as the most probable hypothesis `top`, and more
-    than 50 standard deviations of the noise. Returns the name of this effect or pair, and the names of the other effects of `top`.
-    What these other effects explain counts as the remainder. Returns None if there is no such effect, or if `top` consists only of
-    terms of the nominal model. The search covers only terms of the nominal model; if `top` is "unknown" and no such term is found,
-    it covers all effects in `signatures`.
+    """Finds an effect or a pair of effects that explains nearly as much of the gap as the most probable hypothesis `top`. This
+    effect or pair must also explain more than 50 standard deviations of the noise. Returns the name of this effect or pair, and the
+    names of the other effects of `top`. What these other effects explain counts as the remainder. Returns None if there is no such
+    effect, or if `top` consists only of terms of the nominal model. The search covers only terms of the nominal model; if `top` is
+    "unknown" and no such term is found, it covers all effects in `signatures`.
 
     `log_evidence`: log evidence of every hypothesis relative to "none". For a strong effect, the log evidence is about half of the
     explained energy. `signatures`: names of the effects that change the outputs, not only the noise.

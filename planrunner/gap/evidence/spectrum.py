@@ -105,9 +105,9 @@ class Spectrum:
         return coefficients if roots is None else coefficients * roots[self.segment, None]
 
     def of_constant(self, constant: NDArray[np.bool_]) -> Spectrum:
-        """Returns a copy that projects columns with a single sample for each constant segment, which stands for all samples of the
-        segment. `constant`: array of shape (S,), True for segments in which all columns are constant. The copy is only for `project`:
-        its `remainder` and `replaced` still contain all samples."""
+        """Returns a copy that projects columns with a single sample for each constant segment. This sample represents all samples
+        of the segment. `constant`: array of shape (S,), True for segments in which all columns are constant. The copy is only for
+        `project`: its `remainder` and `replaced` still contain all samples."""
         alone: dict[int, SpectralBasis] = {}
         for basis, one in zip(self.bases, constant, strict=True):
             if one and id(basis) not in alone:

@@ -3,11 +3,12 @@ coefficients have independent noise of unit variance. A design is a set of colum
 amplitudes are unknown.
 
 A setting of the noise consists of a level of flicker and a level of random walk for each triad. At every setting, the coefficients
-of each channel are whitened: first the coefficients above order 0, which describe the changes within a segment, segment by segment;
-then the coefficients of order 0, which are the segment means, jointly over the segments. Before the second step, the part of the
-means that the other coefficients predict is subtracted. This part is zero unless there is a random walk. Then the nominal
-parameters, which have a flat prior, are projected out. These are the parameters that the nominal simulation fits, such as bias and
-scale factors. The likelihood of the residuals is the residual likelihood (REML: Patterson and Thompson, Biometrika 58, 1971).
+of each channel are whitened in two steps. In the first step, the coefficients above order 0, which describe the changes within a
+segment, are whitened segment by segment. In the second step, the coefficients of order 0, which are the segment means, are whitened
+jointly. Before the second step, the part of the means that the other coefficients predict is subtracted. This part is zero unless
+there is a random walk. Then the nominal parameters, which have a flat prior, are projected out. These are the parameters that the
+nominal simulation fits, such as bias and scale factors. The likelihood of the residuals is the residual likelihood (REML: Patterson
+and Thompson, Biometrika 58, 1971).
 
 Some recordings cannot separate all nominal parameters. Examples are recordings with a single orientation, with poses of unknown
 orientation, or in which gravity is never along an axis. The columns of these parameters are linearly dependent or zero. Therefore,

@@ -56,10 +56,11 @@ _UNLIKELY = 1e-3  # probability at and below which a setting of the noise is omi
 @dataclass(frozen=True)
 class Weighed:
     """Contains a variant of an effect (the effect at one value of its shape) after whitening and evaluation. The columns of the
-    variant no longer contain samples. `gram` (G, p, p), the inner products of the whitened, projected columns with each other, and
-    `score` (G, p), their inner products with the whitened data, are computed at each of the G settings of the noise. A setting of
-    the noise is a combination of levels of flicker and random walk. Projection removes the part of a column that the nominal
-    parameters absorb. Amplitudes are in magnitudes: the amplitude of each column is divided by its prior scale `Column.magnitude`.
+    variant no longer contain samples. `gram`: array of shape (G, p, p), inner products between the whitened, projected columns.
+    `score`: array of shape (G, p), inner products of these columns with the whitened data. Both arrays are computed at each of the
+    G settings of the noise. A setting of the noise is a combination of levels of flicker and random walk. Projection removes the
+    part of a column that the nominal parameters absorb. Amplitudes are in magnitudes: the amplitude of each column is divided by
+    its prior scale `Column.magnitude`.
 
     `trace`: energy of the columns after projection, at the first setting of the noise. `kept`: ratio of this energy to the energy
     before projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before
@@ -202,7 +203,7 @@ class Weighing:
 
     `removed`: array of shape (N, K) in SI units, a signal (for example a line) that is subtracted from the samples before the
     evaluation. `held`: array of shape (N, K), True for samples that are replaced by the fit, such as samples that repeat an earlier
-    one. `coarse`: array of shape (K,), True for channels whose noise does not dither the rounding to counts; the scatter of the
+    sample. `coarse`: array of shape (K,), True for channels whose noise does not dither the rounding to counts; the scatter of the
     samples of such a channel shows rounding, not noise. `outliers`: array of shape (N, K) in SI units, errors of single samples
     that are left out; None if there are none.
 
@@ -424,8 +425,9 @@ class Weighing:
 
     def condensed(self, columns: Sequence[Column] = ()) -> tuple[Weighing, list[Column]]:
         """Returns a copy for effects on the output, and `columns` for this copy. Such an effect is a function of the nominal output
-        alone. In a segment in which the nominal output and all columns are constant, as at rest, the copy therefore contains only one
-        sample, which stands for all samples. The coefficients of effects are the same as before, except for rounding."""
+        alone. In some segments, such as segments at rest, the nominal output and all columns are constant. The copy therefore
+        contains only one sample of such a segment, which represents all samples. The coefficients of effects are the same as
+        before, except for rounding."""
         of_channels = [part for column in (*self.nominal_columns, *columns) for part in column.parts.values()]
         signals = {(part.__array_interface__["data"][0], part.strides): part for part in of_channels}
         constant = np.array([course is None for course in self.observed.courses or (None,) * len(self.observed)])

@@ -162,7 +162,8 @@ def _in_groups(each: Mapping[str, Delay], least: float) -> dict[str, Delay]:
 
 def _of_segment(observed: Observed, rows: slice) -> Delay | None:
     """Measures the delay of one segment; None if its motion does not show the delay. A search over all delays with `_unexplained`
-    gives the region of the best delay; there, the residuals of the samples give the delay. `rows`: the samples of the segment."""
+    finds the region of the best delay. In this region, the delay is found from the residuals of the samples. `rows`: the samples of
+    the segment."""
     from scipy.interpolate import CubicSpline
     from scipy.optimize import minimize_scalar
 
@@ -223,9 +224,9 @@ def _unexplained(rates: Array, outputs: Array, axes: Array, steps: int) -> Array
     """Returns, for delays of −`steps` to `steps` samples, the fraction of an output's energy that the rates do not explain, shape (2 ·
     steps + 1,). The fraction is averaged over the outputs; it counts as 1 for an output that follows the rates with the wrong sign.
 
-    `rates`: array of shape (n, r), at uniform times. `outputs`: array of shape (n, p), at the same times. `axes`: array of shape (r, p),
-    the rates about the axis of each output for a rate of 1. The products of outputs and earlier rates for all delays are one correlation,
-    computed by FFT.
+    `rates`: array of shape (n, r), at uniform times. `outputs`: array of shape (n, p), at the same times. `axes`: array of shape
+    (r, p), the rates about the axis of each output for a rate of 1. The products of the outputs and the earlier rates are computed
+    for all delays at once, as a correlation by FFT.
     """
     from scipy.signal import correlate
 

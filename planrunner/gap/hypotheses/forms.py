@@ -296,9 +296,9 @@ class _Found:
 
 def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column]) -> _Found:
     """Searches for the most probable shape and fits the nominal parameters. For an effect on the output, the shape and the nominal
-    parameters are varied together. This search follows the parameters from one optimum, and there may be several: an output
-    near a dead zone, for example, can lie inside or outside. Therefore, shapes to both sides are also tried, each with the
-    parameters that fit it best. A clearly better one replaces the shape that was found."""
+    parameters are varied together. This search follows the parameters from one optimum. There may be several optima: for example,
+    an output near a dead zone can lie inside or outside the dead zone. Therefore, smaller and larger shapes are also tried, each
+    with the nominal parameters that fit best. A clearly better shape replaces the shape that was found first."""
     best, values = (near, None) if near is not None else _start(weighing, effect)
     steps = _STEPS if near is None else _STEPS_BESIDE
     evidence, found, values = _alternated(weighing, effect, best, values, columns, steps)
@@ -312,9 +312,10 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
 def _beside(
     weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], columns: Sequence[Column]
 ) -> tuple[float, _Found]:
-    """Evaluates shapes between `shape` and the next shapes of the grid, then shapes near the best of them. Each is evaluated with the
-    nominal parameters that fit it; the fit starts from the parameters of the neighbouring shape. Returns the evidence of the best
-    shape, and this shape. `values`: parameters (q,) of each channel for `shape`. `columns`: the same as in `moving`."""
+    """Evaluates shapes between `shape` and the next shapes of the grid, then shapes near the best of these shapes. Each shape is
+    evaluated with the nominal parameters that fit best; the fit starts from the parameters of the neighbouring shape. Returns the
+    evidence of the best shape, and this shape. `values`: parameters (q,) of each channel for `shape`. `columns`: the same as in
+    `moving`."""
     grid = np.log(effect.grid(weighing.observed))
     place, known = float(np.log(shape)), dict[float, tuple[float, Sequence[Array]]]()
     ends = [*grid[grid < place][-1:].tolist(), *grid[grid > place][:1].tolist()]
@@ -343,9 +344,9 @@ def _alternated(
     columns: Sequence[Column],
     steps: int,
 ) -> tuple[float, _Found, Sequence[Array]]:
-    """Searches the shape and fits the nominal parameters alternately. If the search alternates between shapes or does not converge,
-    the most probable of the visited shapes is used, with the nominal parameters that were fitted for it. Returns the evidence, the
-    shape, and the parameters (q,) of each channel."""
+    """Searches for the shape and fits the nominal parameters, in turn. If the search alternates between shapes or does not
+    converge, the most probable of the visited shapes is used, with the nominal parameters that were fitted for it. Returns the
+    evidence, the shape, and the parameters (q,) of each channel."""
     shape, last, acting = float(best.variant.shape or 0.0), np.nan, on_output(effect)
     visited: list[tuple[float, _Found, Sequence[Array]]] = []
     for _ in range(steps):
