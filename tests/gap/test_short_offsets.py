@@ -10,7 +10,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import competitors
-from planrunner.gap.hypotheses.outside import BURSTS, whole_and_largest
+from planrunner.gap.hypotheses.outside import BURSTS, _here_and_there, whole_and_largest
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
 from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS
 from planrunner.plan.schedule import Rest, Spin
@@ -84,6 +84,48 @@ def test_a_single_event_is_that_of_one_window() -> None:
     whole, largest = whole_and_largest(np.array([[3.0], [1.0], [0.5], [2.0]]))
     assert (whole[0], largest[0]) == (6.5, 3.0)
     assert not whole_and_largest(np.empty((0, 2))).any()
+
+
+def test_a_single_event_is_in_each_window_with_the_same_probability() -> None:
+    """A Bayes factor of e²⁰ in one of 200 windows, and 1 elsewhere."""
+    windows = np.zeros((200, 3))
+    windows[17] = 20.0
+    assert _here_and_there(windows, 1)[1] == pytest.approx(20.0 - np.log(200), abs=1e-6)
+    windows[18:20] = 20.0  # it lasts for three windows; all durations up to four windows are equally probable
+    expected = 60.0 + np.log(1 / 198 + 2 / 197) - np.log(4)  # among them, two durations of four windows contain it
+    assert _here_and_there(windows, 4)[1] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize(("segments", "something_else"), [([9], False), ([3, 9, 17], True)])
+@pytest.mark.parametrize("size", [2.0, 2.4])
+def test_an_event_of_the_noise_is_no_cause_beside_an_effect(
+    segments: list[int], something_else: bool, size: float
+) -> None:
+    """Ringing for 3 s, which appears outside the coefficients. A single event belongs to the noise, several do not."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        out = np.zeros(len(observed.time))
+        for index in segments:
+            since = observed.time - observed.time[observed.bounds[index]] - 8
+            out += np.where((since >= 0) & (since < 3), np.cos(2 * np.pi * 4.3 * since), 0.0)
+        return 1.5e-4 * np.abs(omega) + size * SIGMA * np.outer(out, [1.0, 0.0, -0.7]), 0.0
+
+    said = diagnose(record(seed=62, fault=fault)).verdict
+    assert said.effects == ("gyro_scale_asymmetry",)
+    assert said.something_else == something_else
+
+
+@pytest.mark.parametrize(("segments", "something_else"), [({9: 11.0}, False), ({3: 3.0, 9: 11.0, 17: 7.0}, True)])
+def test_an_offset_of_the_noise_is_no_cause_beside_an_effect(segments: dict[int, float], something_else: bool) -> None:
+    """The same offsets as without an effect."""
+    events = offsets(segments, 1.0)
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return 1.5e-4 * np.abs(omega) + events(observed, omega, force, draw)[0], 0.0
+
+    said = diagnose(record(seed=62, fault=fault)).verdict
+    assert said.effects == ("gyro_scale_asymmetry",)
+    assert said.something_else == something_else
 
 
 def test_bursts_are_found_while_the_table_turns_fast() -> None:

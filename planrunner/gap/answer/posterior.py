@@ -38,10 +38,9 @@ from planrunner.gap.hypotheses.patterns import Pattern
 BESIDE = 0.001  # probability that a tone or bursts with an independent cause are present in addition to an effect
 EVENT = 0.02
 """Probability that the noise of a recording contains a single event of a few seconds, for example a knock. Such an event does not
-count as a cause of a gap; events that recur do."""
-LARGEST_EVENT = (
-    50.0  # nats, half the energy of an event of 10 standard deviations; a larger event does not count as noise
-)
+count as a cause of a gap, neither alone nor beside effects; events that recur do."""
+LARGEST_EVENT = 50.0
+"""Nats, half the energy of an event of 10 standard deviations. A larger event does not count as noise."""
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown": 0.15}
 """Prior probabilities. `several` is divided equally between two cases: three and more effects of the catalogue, and effects
 together with something else. Every further effect halves the probability."""
@@ -160,13 +159,13 @@ def posterior(
         name: value + log_prior(name, count) + (0.0 if name in PRIORS else _beside(kinds))
         for name, value in found.items()
     }
-    eventful = np.log(EVENT) + np.minimum(kinds.event, LARGEST_EVENT)
-    eventful = np.maximum(eventful, 0.0)  # an event counts only if it is more probable than no event
-    event = weighing.evidence(eventful) - weighing.evidence(nothing)
+    event = weighing.evidence(_eventful(kinds.event, kinds.event_outside)) - weighing.evidence(nothing)
     levels = frozenset(acting.values())
     for name in logs:
-        if name == "none" or levels.issuperset(name.split("+")):
+        if name == "none":
             logs[name] += event
+        elif levels.issuperset(name.split("+")):  # the event and other bursts may both be present
+            logs[name] += _or_beside(kinds, event, event) - _beside(kinds)
     by_id = {c.id: c for c in candidates}
     for name in logs:
         if UNKNOWN in name.split("+"):
@@ -185,7 +184,13 @@ def posterior(
                     {name: value + log_prior(name, count) for name, value in again.items() if name in found}
                 )
             singles = [(name, by_id[name].best) for name in chain[-1][0].split("+")]
-            imitated, more = _with_something_else(weighing, [*singles[::-1], *chain], found, count)
+            imitated, more, events = _with_something_else(weighing, [*singles[::-1], *chain], found, count)
+            if chain[-1][0] in events:
+                event, within = (
+                    float(_eventful(events[chain[-1][0]], outside)) for outside in (kinds.event_outside, 0.0)
+                )
+                gain = _or_beside(kinds, event, within) - _beside(kinds)
+                logs = {name: value + gain * (name not in PRIORS) for name, value in logs.items()}
             more = {
                 key: value + _whatever_noise(noise, len(key.split("+")), count) + _beside(kinds)
                 for key, value in more.items()
@@ -320,9 +325,10 @@ def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candid
 
 def _with_something_else(
     weighing: Weighing, tried: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
-) -> tuple[float, dict[str, float]]:
-    """Evaluates something else in addition to effects. Returns two results: the log evidence of causes outside the catalogue that
-    resemble one of the effects, and the log weights of hypotheses in which something else acts in addition to a set of effects.
+) -> tuple[float, dict[str, float], dict[str, float]]:
+    """Evaluates something else in addition to effects. Returns three results: the log evidence of causes outside the catalogue that
+    resemble one of the effects; the log weights of hypotheses in which something else acts in addition to a set of effects; and,
+    for each of these sets, the log Bayes factor of a single event in the coefficients in addition to the set.
 
     Some of the effects may only imitate something else. Therefore, something else is evaluated in addition to several sets,
     beginning with the last set. The evaluation ends when something else is no longer visible. Two kinds of sets are omitted: sets
@@ -334,19 +340,20 @@ def _with_something_else(
     of each set and of "unknown". `count`: number of effects that the plan can excite.
     """
     made: dict[str, float] = {}
+    events: dict[str, float] = {}
     imitated = -np.inf
     for key, weighed in dict(reversed(tried)).items():
         if weighed.excluded or found[key] < IMPERFECT * found[UNKNOWN]:
             continue
         amplitudes, _ = weighed.amplitudes_at(weighing.likeliest[0])
         signatures = [raw @ amplitudes for raw in weighed.raw]
-        besides = something_else(weighing.beside(weighed), signatures, found[key])
+        besides, events[key] = something_else(weighing.beside(weighed), signatures, found[key])
         made[key] = found[key] + besides + log_prior(key_of([*key.split("+"), UNKNOWN]), count)
         if besides < WORTH:
             break
         if "+" not in key:
             imitated = float(np.logaddexp(imitated, found[key] + look_alike(weighing, signatures)))
-    return imitated, made
+    return imitated, made, events
 
 
 def _as_named(
@@ -390,10 +397,24 @@ def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
     return {name: float(np.exp(value - total)) for name, value in logs.items()}
 
 
+def _eventful(within: Array | float, outside: float) -> Array:
+    """Returns the log Bayes factor of noise that may contain a single event, relative to noise that contains none. `within`,
+    `outside`: log Bayes factors of an event that certainly happened, in the coefficients and outside them."""
+    happened = np.log(EVENT) + np.minimum(within + outside, LARGEST_EVENT)
+    return np.asarray(np.logaddexp(np.log1p(-EVENT), happened))
+
+
+def _or_beside(kinds: Kinds, event: float, within: float = 0.0) -> float:
+    """Returns the log Bayes factor of the possibilities in addition to an effect: an event of the noise, or a tone or bursts that
+    have an independent cause. `event`: log Bayes factor of noise that may contain an event. `within`: the same if the tone or the
+    bursts are present; it counts only the part in the coefficients, because the bursts explain the other part."""
+    return float(np.logaddexp(np.log1p(-BESIDE) + event, np.log(BESIDE) + kinds.outside + within))
+
+
 def _beside(kinds: Kinds) -> float:
-    """Returns the log Bayes factor for the possibility that a tone or bursts, with an independent cause, are present in addition to
-    an effect. This factor is added to every hypothesis with an effect."""
-    return float(np.logaddexp(np.log1p(-BESIDE), np.log(BESIDE) + kinds.outside))
+    """Returns the same as `_or_beside`, without the part of an event in the coefficients. This factor is added to every hypothesis
+    with an effect."""
+    return _or_beside(kinds, float(_eventful(0.0, kinds.event_outside)))
 
 
 def _acting(log_evidence: Mapping[str, float]) -> int:

@@ -49,7 +49,8 @@ class Kinds:
     factor of the competitor in each channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns
     outside the coefficients. No effect of the catalogue acts outside the coefficients, so these patterns are independent of every
     effect. `lines`: the strongest tone of each channel that shows a tone. `event`: array of shape (G,), log Bayes factor of a
-    single event of a few seconds. The noise of real sensors sometimes contains such an event."""
+    single event of a few seconds in the coefficients. The noise of real sensors sometimes contains such an event. `event_outside`:
+    log Bayes factor of the part of an event outside the coefficients, which is the same for every effect."""
 
     log_bayes: dict[Pattern, Array]
     several: Array
@@ -57,6 +58,7 @@ class Kinds:
     outside: float
     lines: tuple[Line, ...]
     event: Array
+    event_outside: float
 
 
 def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
@@ -71,9 +73,7 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
         channels = [whole[id(weight)] for weight in _weights(weighing, int(g))]
         each[g] = patterns.weighed(channels) | beyond.log_bayes
         several[g] = _several(patterns, channels, each[g])
-        single = patterns.short_offsets.weighed(patterns.scopes, channels)[1]
-        # In a run without windows, `single` is −∞; a burst can still be an event.
-        event[g] = max(float(log_mean_exp(single, 0)), 0.0) + max(beyond.burst, 0.0)
+        event[g] = _event(patterns, channels)
     found = {pattern: np.full(len(weighing.base), -np.inf) for pattern in each[settings[0]]}
     for g, values in each.items():
         for pattern, value in values.items():
@@ -85,12 +85,21 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
         spectra = [eigen(left, design) for left, design in zip(first, per_channel, strict=True)]
         alone[pattern] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
     beside = float(log_mean_exp(np.array([log_mean_exp(value, 0) for value in beyond.log_bayes.values()]), 0))
-    return Kinds(found, several, alone, beside, beyond.lines, event)
+    return Kinds(found, several, alone, beside, beyond.lines, event, max(beyond.burst, 0.0))
 
 
-def something_else(weighing: Weighing, signatures: Sequence[Array] = (), explained: float = np.inf) -> float:
-    """Returns the log Bayes factor of the patterns of the coefficients, relative to no pattern. The factor is the mean over single
-    patterns and over combinations of patterns, at the most probable setting of the noise. If the weighing includes effects
+def _event(patterns: _Patterns, channels: list[Left]) -> float:
+    """Returns the log Bayes factor of a single offset of a few seconds in the coefficients, or 0 if no offset is more probable. A run
+    without windows has no such offset; a burst can still be an event."""
+    return max(float(log_mean_exp(patterns.short_offsets.weighed(patterns.scopes, channels)[1], 0)), 0.0)
+
+
+def something_else(
+    weighing: Weighing, signatures: Sequence[Array] = (), explained: float = np.inf
+) -> tuple[float, float]:
+    """Returns two log Bayes factors at the most probable setting of the noise: of the patterns of the coefficients, relative to no
+    pattern, and of a single event of a few seconds in the coefficients. The first is the mean over single patterns and over
+    combinations of patterns. If the weighing includes effects
     (`Weighing.beside`), this is the evidence for something else in addition to these effects. `signatures`: for each channel, the
     coefficients (M,) that these effects cause. `explained`: log evidence of these effects. One further pattern is a separate size
     of the effects in each motion. If this pattern explains more than the effects themselves, it is not a property of the effects,
@@ -104,7 +113,7 @@ def something_else(weighing: Weighing, signatures: Sequence[Array] = (), explain
         varying = np.array(_by_scope(spectra, patterns.scopes))
         if any(len(values) for values, _ in spectra) and float(log_mean_exp(varying, 0)) <= explained:
             each[pattern] = varying
-    return _in_coefficients(patterns, channels, each)
+    return _in_coefficients(patterns, channels, each), _event(patterns, channels)
 
 
 def _in_coefficients(patterns: _Patterns, channels: list[Left], each: dict[Pattern, Array]) -> float:

@@ -6,8 +6,8 @@ A tone keeps its frequency and its phase over the whole run. Tones are found in 
 A burst is a window of a few seconds with a shifted bias or with larger noise, at a random time in a run. Every window contains a
 burst with the same small probability. The windows are parts of the remainder, so the part of a burst that the coefficients absorb
 is missing. A deviation that appears in most windows of segments of equal length is slow noise, not a burst. The noise of real
-sensors contains rare single events. Therefore, the evidence of the window with the clearest burst is also stated separately. This
-is the evidence of an event that does not recur.
+sensors contains rare single events. Therefore, the evidence of a single burst is also stated separately. This is the evidence of an
+event that does not recur.
 
 In array shapes, N is the number of all samples, K is the number of channels, F is the number of frequencies, W is the number of
 windows, and E is the number of energies of a burst.
@@ -60,7 +60,7 @@ class Outside:
     """Contains the evidence for the patterns outside the basis of the coefficients.
 
     `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
-    `causes`: the tones in `lines` that count as separate causes. `burst`: log Bayes factor of a burst in a single window.
+    `causes`: the tones in `lines` that count as separate causes. `burst`: log Bayes factor of a single burst.
     """
 
     log_bayes: dict[Pattern, Array]
@@ -285,7 +285,7 @@ class _Windows:
 
 def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, Array]:
     """Computes two log Bayes factors for the channels of each scope, each of shape (scopes,). The first is for bursts in any number
-    of windows, the second for a burst in a single window. Both are −∞ if the recording is too short for windows."""
+    of windows, the second for a single burst of at most 4 s. Both are −∞ if the recording is too short for windows."""
     observed, found = weighing.observed, []
     remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder)
     remainder /= (weighing.white * np.sqrt(weighing.noise.level))[observed.owner]
@@ -297,7 +297,8 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, 
         for begin in (0, size // 2):
             windows = _windows(weighing, within, size, begin) if size >= FEWEST else None
             if windows is not None:
-                found.append(_evidence(sums, windows, size, scopes, inefficiency))
+                most = round(max(LENGTHS) / length)
+                found.append(_evidence(sums, windows, size, scopes, inefficiency, most))
     several, single = log_mean_exp(np.array(found), 0).T if found else np.full((2, len(scopes)), -np.inf)
     return np.asarray(several), np.asarray(single)
 
@@ -346,12 +347,17 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 
 
 def _evidence(
-    both: tuple[Array, Array], windows: _Windows, size: int, scopes: Sequence[Sequence[int]], inefficiency: Array
+    both: tuple[Array, Array],
+    windows: _Windows,
+    size: int,
+    scopes: Sequence[Sequence[int]],
+    inefficiency: Array,
+    most: int,
 ) -> Array:
     """Returns two log Bayes factors for each scope, shape (scopes, 2): the first for bursts in any number of windows, the second
-    for a burst in a single window. All windows have the same size. `both`: cumulative sums of the samples in units of the noise,
-    and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which coloured noise reduces
-    the degrees of freedom of a sum of squares."""
+    for a single burst in at most `most` windows. All windows have the same size. `both`: cumulative sums of the samples in units of
+    the noise, and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which coloured
+    noise reduces the degrees of freedom of a sum of squares."""
     mean, rest = _normalised(both, windows, size)
     offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
     offset[~windows.clear] = 0.0
@@ -360,7 +366,7 @@ def _evidence(
     found = np.empty((len(scopes), 3, 2))
     for row, scope in enumerate(scopes):
         forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
-        found[row] = [_here_and_there(form) for form in forms]
+        found[row] = [_here_and_there(form, most) for form in forms]
     return log_mean_exp(found, 1)
 
 
@@ -397,15 +403,17 @@ def _larger(energy: Array, degrees: float, added: Array) -> Array:
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
-def _here_and_there(windows: Array) -> Array:
+def _here_and_there(windows: Array, most: int) -> Array:
     """Returns two log Bayes factors relative to no bursts, shape (2,). The first is for bursts: every window contains a burst with
-    the same small probability. The second is for a burst in a single window. `windows`: array of shape (W, E), log Bayes factor of
-    a burst in each window at each energy."""
+    the same small probability. The second is for a single burst. It lasts for one to `most` consecutive windows, and begins in each
+    window with the same probability. `windows`: array of shape (W, E), log Bayes factor of a burst in each window at each energy."""
     each = []
     for chance in CHANCES:
         gains = np.logaddexp(0.0, np.log(chance / (1 - chance)) + windows)
-        each.append(len(windows) * np.log1p(-chance) + whole_and_largest(gains))
-    return np.asarray(log_mean_exp(np.concatenate(each, axis=1), 1))
+        each.append(len(windows) * np.log1p(-chance) + gains.sum(0))
+    sums = _summed(windows)
+    lasting = [log_mean_exp((sums[n:] - sums[:-n]).ravel(), 0) for n in range(1, min(most, len(windows)) + 1)]
+    return np.array([log_mean_exp(np.concatenate(each), 0), log_mean_exp(np.array(lasting), 0)])
 
 
 def whole_and_largest(gains: Array) -> Array:
