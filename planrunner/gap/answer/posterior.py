@@ -64,7 +64,8 @@ class Posterior:
     evidence is computed from the coefficients alone. `sets`: the evaluated sets of two or more deterministic effects. `kinds`: log
     evidence, relative to "none", of each pattern that belongs to "unknown". `by_channel`: for each pattern, an array of shape (K,),
     its log Bayes factor in each channel alone. `levels`: names of the effects that only change the noise level. `lines`: tones in
-    the recording. `beside`: probability that a tone or bursts are present in addition to an effect.
+    the recording. `beside`: probability that a tone or bursts are present in addition to an effect. `log_weights`: logarithms of the
+    probabilities in `probability`, up to a constant; also of probabilities that are too small for a floating-point number.
     """
 
     probability: dict[str, float]
@@ -76,6 +77,7 @@ class Posterior:
     beside: float = 0.0
     noise: Mapping[str, float] = field(default_factory=dict)
     sets: Mapping[str, EffectSet] = field(default_factory=dict, repr=False)
+    log_weights: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def of_effects(self) -> dict[str, float]:
         """Returns the probabilities of "none", of "unknown" and of every set of effects, the most probable first. The probability
@@ -201,27 +203,28 @@ def posterior(
             imitated += log_prior(UNKNOWN, count) + _whatever_noise(noise, 1, count) + _beside(kinds) - one_of
             logs[UNKNOWN] = float(np.logaddexp(logs[UNKNOWN], imitated))
     beside = float(np.exp(np.log(BESIDE) + kinds.outside - _beside(kinds)))
-    shares = _shares(logs)
+    causes = _of_causes(logs, levels)
     return Posterior(
-        dict(sorted(_of_causes(shares, levels).items(), key=lambda item: -item[1])),
+        dict(sorted(_shares(causes).items(), key=lambda item: -item[1])),
         found,
         plainly,
         kinds.by_channel,
         levels | noise.apart.keys(),
         kinds.lines + apart.lines,
         beside,
-        _of_noise(shares, levels, noise, found, count),
+        _of_noise(_shares(logs), levels, noise, found, count),
         sets,
+        causes,
     )
 
 
-def _of_causes(shares: Mapping[str, float], levels: Collection[str]) -> dict[str, float]:
-    """Returns the probabilities of the causes. The probabilities of hypotheses that differ only in effects on the level of the
-    noise are added. `levels`: names of the effects on the level of the noise. `shares`: probability of each hypothesis."""
+def _of_causes(logs: Mapping[str, float], levels: Collection[str]) -> dict[str, float]:
+    """Returns the log weights of the causes. The probabilities of hypotheses that differ only in effects on the level of the noise
+    are added. `levels`: names of the effects on the level of the noise. `logs`: log weight of each hypothesis."""
     found: dict[str, float] = {}
-    for name, share in shares.items():
+    for name, value in logs.items():
         key = key_of(part for part in name.split("+") if part not in levels) or name
-        found[key] = found.get(key, 0.0) + share
+        found[key] = float(np.logaddexp(found.get(key, -np.inf), value))
     return found
 
 
@@ -359,8 +362,8 @@ def _with_something_else(
 def _as_named(
     logs: Mapping[str, float], named: Mapping[str, float], more: Mapping[str, float], walk: str
 ) -> dict[str, float]:
-    """Divides the probability of effects among the sets as in `named`, and adds the hypotheses with something else; returns log
-    weights.
+    """Divides the probability of effects among the sets as in `named` (log shares), and adds the hypotheses with something else;
+    returns log weights.
 
     `more`: log weights of sets of effects in combination with something else. If such a set is one of the probable sets, its log
     weight is divided among all probable sets of the same size, in proportion to `named`. Sets with a random walk (`walk`) are
@@ -368,27 +371,29 @@ def _as_named(
     """
     whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
     made = {name: value for name, value in logs.items() if name in PRIORS}
-    made |= {name: whole + float(np.log(share)) for name, share in named.items() if share > 0}
+    made |= {name: whole + share for name, share in named.items()}
     for key, value in more.items():
         size = key.count("+")
         alike = {
             name: share
             for name, share in named.items()
-            if name.count("+") == size and share > 0 and walk not in name.split("+")
+            if name.count("+") == size and np.isfinite(share) and walk not in name.split("+")
         }
-        total = sum(alike.values())
-        likely = {name: share / total for name, share in alike.items() if share >= LIKELY * total}
+        total = float(np.logaddexp.reduce([*alike.values(), -np.inf]))
+        likely = {name: share - total for name, share in alike.items() if share >= np.log(LIKELY) + total}
         if key not in likely:  # the part beside this set says nothing about the part beside the others
-            likely = {key: 1.0}
+            likely = {key: 0.0}
         for name, share in likely.items():
-            made[key_of([*name.split("+"), UNKNOWN])] = value + float(np.log(share))
+            made[key_of([*name.split("+"), UNKNOWN])] = value + share
     return made
 
 
 def _shared(logs: Mapping[str, float]) -> dict[str, float]:
-    """Returns the normalised probabilities of the sets of effects, without "none", "unknown" and other hypotheses that have a fixed
-    prior. `logs`: log weight of each hypothesis."""
-    return _shares({name: value for name, value in logs.items() if name not in PRIORS})
+    """Returns the logarithms of the normalised probabilities of the sets of effects, without "none", "unknown" and other hypotheses
+    that have a fixed prior. `logs`: log weight of each hypothesis."""
+    sets = {name: value for name, value in logs.items() if name not in PRIORS}
+    total = float(np.logaddexp.reduce(list(sets.values())))
+    return {name: value - total for name, value in sets.items()}
 
 
 def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:

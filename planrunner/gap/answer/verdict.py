@@ -99,36 +99,49 @@ FORM = 0.01  # fraction below which a second effect or "something else" counts a
 TWO_NAMES = 4.0  # nats, largest difference between the log evidences of hypotheses that may have the same cause
 
 
-def leading(log_evidence: Mapping[str, float], top: str, signatures: Collection[str]) -> tuple[str, str] | None:
-    """Finds an effect or a pair of effects that explains nearly as much of the gap as the most probable hypothesis `top`. This
-    effect or pair must also explain more than 50 standard deviations of the noise. Returns the name of this effect or pair, and the
-    names of the other effects of `top`. What these other effects explain counts as the remainder. Returns None if there is no such
-    effect, or if `top` consists only of terms of the nominal model. The search covers only terms of the nominal model; if `top` is
-    "unknown" and no such term is found, it covers all effects in `signatures`.
+def leading(
+    log_evidence: Mapping[str, float], log_weights: Mapping[str, float], top: str, signatures: Collection[str]
+) -> tuple[str, str] | None:
+    """Finds the most probable set of effects that explains nearly as much of the gap as the most probable hypothesis `top`. This set
+    must also explain more than 50 standard deviations of the noise. Returns the name of this set, and the names of the other effects
+    of `top`. What these other effects explain counts as the remainder. Returns None if there is no such set, or if `top` consists
+    only of terms of the nominal model. The search covers only terms of the nominal model; if `top` is "unknown" and no such term is
+    found, it covers all effects in `signatures`.
 
     `log_evidence`: log evidence of every hypothesis relative to "none". For a strong effect, the log evidence is about half of the
-    explained energy. `signatures`: names of the effects that change the outputs, not only the noise.
+    explained energy. `log_weights`: log probability of every cause, up to a constant. `signatures`: names of the effects that change
+    the outputs, not only the noise.
     """
     parts = set(top.split("+"))
     if parts <= set(NOMINAL_TERMS):
         return None
-    found = _most(log_evidence, NOMINAL_TERMS, (1 - RESIDUE) * log_evidence[top])
+    found = _most(log_evidence, log_weights, NOMINAL_TERMS, (1 - RESIDUE) * log_evidence[top])
     if found is None and top == "unknown":
-        found = _most(log_evidence, signatures, (1 - FORM) * log_evidence[top])
+        found = _most(log_evidence, log_weights, signatures, (1 - FORM) * log_evidence[top])
     return None if found is None else (found, "+".join(sorted(parts - set(found.split("+")))))
 
 
-def _most(log_evidence: Mapping[str, float], among: Collection[str], least: float) -> str | None:
-    known = [name for name in log_evidence if set(name.split("+")) <= set(among)]
-    best = max(known, key=lambda name: log_evidence[name], default=None)
-    return best if best is not None and 2 * log_evidence[best] > STRONG and log_evidence[best] >= least else None
+def _most(
+    log_evidence: Mapping[str, float], log_weights: Mapping[str, float], among: Collection[str], least: float
+) -> str | None:
+    """Returns the most probable set of effects in `among` whose log evidence is at least `least` and that of a strong effect."""
+    known = [
+        name
+        for name, value in log_evidence.items()
+        if value >= least and 2 * value > STRONG and set(name.split("+")) <= set(among) and name in log_weights
+    ]
+    return max(known, key=lambda name: log_weights[name], default=None)
 
 
-def as_probable(log_evidence: Mapping[str, float], best: str) -> dict[str, float]:
-    """Maps each hypothesis to the ratio of its probability to the probability of `best`, limited to 1. Hypotheses that explain
-    clearly more of the gap than `best` are omitted. `log_evidence`: log evidence of each hypothesis."""
-    away = {name: value - log_evidence[best] for name, value in log_evidence.items()}
-    return {name: math.exp(min(value, 0.0)) for name, value in away.items() if value <= TWO_NAMES}
+def as_probable(log_evidence: Mapping[str, float], log_weights: Mapping[str, float], best: str) -> dict[str, float]:
+    """Maps each cause to the ratio of its probability to the probability of `best`, limited to 1. Causes that explain clearly more
+    of the gap than `best` are omitted. `log_evidence`: log evidence of each hypothesis. `log_weights`: log probability of each
+    cause, up to a constant."""
+    return {
+        name: math.exp(min(log_weights[name] - log_weights[best], 0.0))
+        for name, value in log_evidence.items()
+        if name in log_weights and value - log_evidence[best] <= TWO_NAMES
+    }
 
 
 RIVAL = 0.02  # smallest probability of a member of a class, relative to the most probable member
@@ -186,13 +199,13 @@ def _cause(weighing: Weighing, found: Posterior, candidates: Sequence[Candidate]
         return Verdict("none")
     first = next(iter(probability))
     by_id = {candidate.id: candidate for candidate in candidates}
-    top, remainder = leading(found.log_evidence, first, by_id) or (first, None)
+    top, remainder = leading(found.log_evidence, found.log_weights, first, by_id) or (first, None)
     if top == UNKNOWN:
         best = next((name for name in probability if name not in ("none", UNKNOWN)), "")
         if not best or probability[UNKNOWN] >= SOMETHING_ELSE:
             return Verdict("unknown")
         return Verdict("indistinguishable", tuple(best.split("+")), (best, UNKNOWN))
-    likely = probability if remainder is None else as_probable(found.log_evidence, top)
+    likely = probability if remainder is None else as_probable(found.log_evidence, found.log_weights, top)
     named, residue = _residue(found, by_id, top)
     left = found.probability.get(key_of([*top.split("+"), UNKNOWN]), 0.0) > found.probability.get(top, 0.0)
     left = left or found.beside > BESIDE
