@@ -23,7 +23,7 @@ _UPPER = np.triu_indices(9)
 
 
 def quick(rows_at: RowsAt, seed: int = 0) -> RowsAt:
-    """Returns a faster function in place of `rows_at`, a function that computes rows (m, p) at attitudes (m, 3, 3). If the rows are
+    """Returns a faster function that replaces `rows_at`. Both functions compute rows (m, p) at attitudes (m, 3, 3). If the rows are
     not polynomials of second degree in the direction cosines, returns `rows_at` itself."""
     random = np.random.default_rng(seed)
     attitudes = np.linalg.qr(random.normal(size=(_FITTED + _TRIED, 3, 3)))[0]

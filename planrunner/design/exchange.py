@@ -2,9 +2,9 @@
 from many starts.
 
 In an exchange (Fedorov 1972; in the form of Cook & Nachtsheim, Technometrics 22, 1980), each point in turn is replaced by the
-candidate that is best together with the other points, until no replacement improves the set. Let S be the inverse information of
-the other points, and d = xᵀSx. Adding the candidate x then multiplies the determinant by 1 + d, and reduces tr(W·M⁻¹) by xᵀSWSx/(1
-+ d). `fixed`, shape (p, p), is information that does not depend on the choice.
+candidate that is best together with the other points. The exchange ends when no replacement improves the set. Let S be the inverse
+information of the other points, and d = xᵀSx. Adding the candidate x then multiplies the determinant by 1 + d, and reduces
+tr(W·M⁻¹) by xᵀSWSx/(1 + d). `fixed`, shape (p, p), is information that does not depend on the choice.
 """
 
 from __future__ import annotations

@@ -96,8 +96,8 @@ class Apart:
 
     `log_bayes`: log Bayes factor of these effects. `parameters`: estimated parameters of these effects. `lines`: the effects among
     them that are tones. `removed`: array of shape (N, K) in SI units, contribution of the effects to the samples; None if no effect
-    was found. `outside`: evidence for patterns that the coefficients cannot represent; None if `removed` changed the samples, so
-    that this evidence must be computed again.
+    was found. `outside`: evidence for patterns that the coefficients cannot represent; None if `removed` changed the samples. This
+    evidence must then be computed again.
     """
 
     log_bayes: Mapping[str, float] = field(default_factory=dict)

@@ -695,7 +695,8 @@ def predictions(
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """Computes the gap g that a known change causes in the held-out segments, and its prediction d, each of shape (m,). Also
     returns the channel of every row. `change`: array of shape (M, K), coefficients of the known change in the outputs. The function
-    serves tests in which the true gap is known. `worth`: the log Bayes factor that a choice must reach to be selected in a fold."""
+    is used in tests in which the true gap is known. `worth`: the log Bayes factor that a choice must reach to be selected in a
+    fold."""
     gap, difference, channels = [], [], []
     for held in held_out(weighing):
         rows = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]

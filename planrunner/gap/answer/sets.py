@@ -343,8 +343,8 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
 
 
 def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
-    """Assumes that the effect `a` acts with its most probable size. Under this condition, yields for each of the other effects its
-    best form, and the increase of the log Bayes factor by this form."""
+    """Assumes that the effect `a` acts with its most probable size. Under this condition, yields the best form of each of the other
+    effects, and the increase of the log Bayes factor by this form."""
     if not others:
         return
     mean, covariance = a.amplitudes

@@ -102,11 +102,11 @@ TWO_NAMES = 4.0  # nats, largest difference between the log evidences of hypothe
 def leading(
     log_evidence: Mapping[str, float], log_weights: Mapping[str, float], top: str, signatures: Collection[str]
 ) -> tuple[str, str] | None:
-    """Finds the most probable set of effects that explains nearly as much of the gap as the most probable hypothesis `top`. This set
-    must also explain more than 50 standard deviations of the noise. Returns the name of this set, and the names of the other effects
-    of `top`. What these other effects explain counts as the remainder. Returns None if there is no such set, or if `top` consists
-    only of terms of the nominal model. The search covers only terms of the nominal model; if `top` is "unknown" and no such term is
-    found, it covers all effects in `signatures`.
+    """Finds the most probable set of effects that explains nearly as much of the gap as the most probable hypothesis `top`. This
+    set must also explain more than 50 standard deviations of the noise. Returns the name of this set, and the names of the other
+    effects of `top`. The part of the gap that these other effects explain counts as the remainder. Returns None if there is no such
+    set, or if `top` consists only of terms of the nominal model. The search covers only terms of the nominal model; if `top` is
+    "unknown" and no such term is found, it covers all effects in `signatures`.
 
     `log_evidence`: log evidence of every hypothesis relative to "none". For a strong effect, the log evidence is about half of the
     explained energy. `log_weights`: log probability of every cause, up to a constant. `signatures`: names of the effects that change

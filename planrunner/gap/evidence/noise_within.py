@@ -95,11 +95,11 @@ class NoiseWithin:
 
         The covariance of two coefficients with the vectors u and v of the basis is ∫ S(f)·U*(f)·V(f) df for stationary noise, where
         S is the spectral density, and U and V are the Fourier transforms of u and v. If the noise is strong at high frequencies,
-        this covariance is not zero. The reason is the similarity of the vectors at the ends of a segment: all vectors of even order
-        are similar there, and all vectors of odd order are similar there. The variance of a coefficient of the cosine transform, or
-        of a harmonic, is at least the spectrum of the cosine transform at its frequency. A harmonic that begins or ends within a
-        period contains more noise of high frequencies than a vector of the cosine transform. Means count as independent of the
-        other coefficients, because slow noise determines them.
+        this covariance is not zero. The reason is that, at the ends of a segment, the vectors of even order are similar to each
+        other. The same is true for the vectors of odd order. The variance of a coefficient of the cosine transform, or of a
+        harmonic, is at least the spectrum of the cosine transform at its frequency. A harmonic that begins or ends within a period
+        contains more noise of high frequencies than a vector of the cosine transform. Means count as independent of the other
+        coefficients, because slow noise determines them.
         """
         size = [len(basis.frequency) for basis in spectrum.bases]
         found = [Blocks.diagonal(size, self.level[:, channel]) for channel in range(self.level.shape[1])]

@@ -31,7 +31,7 @@ _MOST = 60  # largest number of different counts in a usable segment at rest
 
 
 def is_coarse(white: Array | float, count: Array | float) -> NDArray[np.bool_]:
-    """Returns True if the counts of a channel are so coarse that the noise does not dither the rounding, so that rounding errors do
+    """Returns True if the counts of a channel are so coarse that the noise does not dither the rounding. Rounding errors then do
     not average out. `white`: standard deviation of a rounded sample. The square of `white` includes the variance count²/12 of the
     rounding. `count`: size of one count, in the same unit. The arrays are evaluated element by element."""
     return np.asarray(np.square(white) < np.square(count) * (1 / 12 + DITHERED**2))

@@ -10,9 +10,10 @@ there is a random walk. Then the nominal parameters, which have a flat prior, ar
 nominal simulation fits, such as bias and scale factors. The likelihood of the residuals is the residual likelihood (REML: Patterson
 and Thompson, Biometrika 58, 1971).
 
-Some recordings cannot separate all nominal parameters. Examples are recordings with a single orientation, with poses of unknown
-orientation, or in which gravity is never along an axis. The columns of these parameters are linearly dependent or zero. Therefore,
-an independent basis of all nominal columns is computed first, so that the parameters absorb only the space that their columns span.
+Some recordings cannot separate all nominal parameters. Examples are recordings with a single orientation, recordings of poses with
+unknown orientation, and recordings in which gravity is never along an axis. The columns of these parameters are linearly dependent
+or zero. Therefore, an independent basis of all nominal columns is computed first, so that the parameters absorb only the space that
+their columns span.
 
 The evidence of a design needs only the eigenvalues of its Gram matrix and the squared scores along the eigenvectors. Both are
 computed from the few rows in which the design is not zero. Let Y be the whitened rows of the design, and B an orthonormal basis of

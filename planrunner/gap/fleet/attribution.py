@@ -377,7 +377,7 @@ def _parts(
     component: Component, having: Sequence[tuple[float, _Model]], common: Component | None
 ) -> tuple[SourcePart, ...]:
     """Returns the parts of a component, averaged over the models that contain it. `common`: the component of `Source.COMMON`, or
-    None if this is the component itself. `having`: the same as in `_spread`."""
+    None if `component` is this component. `having`: the same as in `_spread`."""
     m = len(component.labels)
     parts = _averaged([(p, *model.parts(component)) for p, model in having])
     levels: list[Uncertain | None] = [None] * m

@@ -139,8 +139,8 @@ def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
 
 def _parts(observed: Observed) -> list[slice]:
     """Returns the parts of the recording whose means are fitted: each segment, or the blocks of a segment whose motion is recorded.
-    The length of the blocks is chosen so that as many channels as possible can be judged; among several such lengths, the one with
-    the smallest misfit is chosen."""
+    The length of the blocks is chosen so that as many channels as possible can be judged; among several such lengths, the length
+    with the smallest misfit is chosen."""
     if not observed.moved.any():
         return observed.segments()
     tried = [_blocks(observed, seconds) for seconds in BLOCKS]

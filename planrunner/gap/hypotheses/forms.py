@@ -11,9 +11,9 @@ computed output would be wrong.
 
 A dead zone or a limit acts on the output. Its size therefore depends on the bias and the scale factors of the sensor. To first
 order in the nominal parameters θ, the effect is e(θ) = e(θ₀) + E·(θ − θ₀). Here, θ₀ is the operating point: the nominal parameters
-at which the form of the effect was computed. Each column of E is the change of the effect per change of one parameter, a central
-difference. The step of these differences is one standard uncertainty of each parameter, because the exact derivative of a dead zone
-is infinite at its edge.
+at which the form of the effect was computed. Each column of E is the change of the effect per change of one parameter. It is
+computed by a central difference. The step of these differences is one standard uncertainty of each parameter, because the exact
+derivative of a dead zone is infinite at its edge.
 
 In array shapes, M is the number of coefficients of a channel, G is the number of settings of the noise, and q is the number of
 nominal parameters of a channel.
