@@ -5,10 +5,10 @@ A drift function is adopted if its amplitude in one output, or its amplitudes in
 explains. `SIGNIFICANCE` is the level of this test for all tried drift functions together. The size that amplitudes can have by
 chance is computed from the noise within the segments and the declared effects, if these explain the residuals of the fit without
 the drift. Otherwise, it is computed from these residuals. After the drift is fitted, the noise and the effects must explain the
-residuals. If they do not, the model is incomplete, and the drift is not adopted: a part of the residuals of an incomplete model
-always looks like a drift. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, because otherwise any scatter
-would look like a drift. A drift is rarely exactly linear: after a power of the time is adopted, the next power is fitted as well if
-the segments allow it.
+residuals. If they do not, the model is incomplete, and the drift is not adopted, because a part of the residuals of an incomplete
+model always looks like a drift. At least `LEAST_LEFT` degrees of freedom must remain over all outputs, because otherwise any
+scatter would look like a drift. A drift is rarely exactly linear: after a power of the time is adopted, the next power is fitted as
+well if the segments allow it.
 
 A drift is not adopted if a nonlinearity of the outputs explains the data better. To test this, the square of the outputs' fitted
 values is fitted as a further column (regression specification error test: J. B. Ramsey, J. R. Stat. Soc. B 31, 1969). The

@@ -94,7 +94,7 @@ def bins_of(size: NDArray[np.int64], parts: Sequence[Averaged]) -> Bins:
 
 def seen_along(bins: Bins, along: Array) -> Bins:
     """Returns the bins of a triad's readings after the readings have been projected onto one direction for each segment. `along`:
-    array of shape (S, 3), unit vectors. The projected readings have no count."""
+    array of shape (S, 3), unit vectors. The projected readings are not multiples of a count."""
     energy = np.einsum("si,sij,sj->s", along, bins.energy, along)[:, None, None]
     return replace(bins, energy=energy, spikes=bins.spikes.sum(keepdims=True), levels=(np.empty(0),))
 

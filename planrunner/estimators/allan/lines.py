@@ -2,7 +2,7 @@
 
 A periodic disturbance is a line in the spectrum. Its Allan variance is A²·sin⁴(πfτ)/(πfτ)² (IEEE Std 952, annex C), which no
 mixture of the four kinds of noise describes. A line with a constant frequency, amplitude and phase is determined far more
-accurately than the noise. Therefore, the subtraction of a line hardly changes the noise: a line uses only three of the n degrees of
+accurately than the noise. The subtraction of a line hardly changes the noise, because a line uses only three of the n degrees of
 freedom of n samples.
 
 A value of the periodogram counts as a line if the probability that noise alone exceeds this value is at most `CHANCE`. The level of

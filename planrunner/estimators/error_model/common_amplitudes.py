@@ -22,9 +22,10 @@ from planrunner.estimators.outputs_fit import OutputsFit
 class CommonAmplitudes:
     """Contains the amplitudes of all outputs, and states which amplitudes are common to several outputs.
 
-    `amplitudes`: the q reported amplitudes. These are computed from the p amplitudes of the separate fits; the p amplitudes are
-    listed output after output. `members`: for each reported amplitude, the indices of the fitted amplitudes that it combines; a
-    single index if only one output has this amplitude. `outputs`: for each of the p fitted amplitudes, the name of its output.
+    `amplitudes`: the q reported amplitudes. The reported amplitudes are computed from the p amplitudes of the separate fits; the p
+    amplitudes are listed output after output. `members`: for each reported amplitude, the indices of the fitted amplitudes that it
+    combines; a single index if only one output has this amplitude. `outputs`: for each of the p fitted amplitudes, the name of its
+    output.
     """
 
     amplitudes: tuple[ReportedAmplitude, ...]

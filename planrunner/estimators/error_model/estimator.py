@@ -386,8 +386,8 @@ def _fitted(
 ) -> list[FittedOutput]:
     """Fits all outputs of a group. `shown`: names of the drift functions that at least one output shows.
 
-    A first fit gives approximate amplitudes for each output. These are needed because they determine how strongly errors of the
-    table and the site affect the output.
+    A first fit gives approximate amplitudes for each output. The approximate amplitudes determine how strongly errors of the table
+    and the site affect the output.
     """
     parameters, basis = request.parameters, request.parameters.uncertainty
     recorded = [request.segments[row] for row in group.rows]

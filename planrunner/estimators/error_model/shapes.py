@@ -60,9 +60,9 @@ def with_shapes(
 def _about(
     group: Together, amplitudes: Array, k: int, together: Observations, recorded: Sequence[RecordedSegment]
 ) -> Observations:
-    """Returns the observations with new standard errors of the k-th output. These are computed from the scatter of the samples
-    about the change that the output's effect causes within each segment. `amplitudes`: amplitudes of the effect, in the unit of the
-    output."""
+    """Returns the observations with new standard errors of the k-th output. The standard errors are computed from the scatter of
+    the samples about the change that the output's effect causes within each segment. `amplitudes`: amplitudes of the effect, in the
+    unit of the output."""
     from scipy.interpolate import PchipInterpolator
 
     part = shaped_part(group.outputs[k])

@@ -1,9 +1,9 @@
 """Computes the influences of declared inputs on residuals after compensation, and on the sums of squares of these residuals.
 
 Let c be one set of coefficients, X the design matrix of the verification positions, and i the outputs there. The residual is r =
-M⁻¹·(i − X·c), where the matrix M is computed from c. An error of an input affects r in two ways. It acts directly, through X. It
-also acts through c, because c comes from a calibration with the same latitude, gravity, azimuth and table. Both contributions come
-from the same error, so they are added with their signs.
+M⁻¹·(i − X·c), where the matrix M is computed from c. An error of an input affects r in two ways. The error acts directly, through
+X. The error also acts through c, because c comes from a calibration with the same latitude, gravity, azimuth and table. Both
+contributions come from the same error, so they are added with their signs.
 """
 
 from __future__ import annotations
@@ -76,8 +76,8 @@ def _here(request: EstimateRequest[object], matrix: Array, coefficients: Array) 
 
 def _carried(used: Estimate, units: tuple[str, ...]) -> list[Influence]:
     """Returns the influences that acted on one set of coefficients [U; V], in SI units, during the calibration that gave this set.
-    Flicker and resolution are left out: the simulation of the residuals includes flicker, and the noise includes rounding. Errors
-    of the table are not left out, because the simulation does not include their contribution to the calibration."""
+    Flicker and resolution are left out, because the simulation of the residuals includes flicker, and the noise includes rounding.
+    Errors of the table are not left out, because the simulation does not include their contribution to the calibration."""
     coefficients = np.array(used.extra["coefficients"])
     quantities, factors = reported(units, flexure_gyro.static_model(), ())
     own_noise = {aspect.of(output) for aspect in Aspect for output in used.extra["outputs"]}

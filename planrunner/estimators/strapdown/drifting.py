@@ -111,8 +111,8 @@ def _with_effect(
     response: WanderingBias,
     freedom: float,
 ) -> StopDrift:
-    """Returns the fitted drift together with its effect on the navigation. `expected`: array of shape (6,), standard deviations of
-    the readings that the fits assume, divided by the standard deviations that noise and stated flicker explain. `courses`: the
+    """Returns the fitted drift together with its effect on the navigation. `expected`: array of shape (6,), standard deviations
+    that the fits assume for the readings, divided by the standard deviations that noise and stated flicker explain. `courses`: the
     fitted drift functions, each with one column of n + l rows: n rows for the observations, then l rows for the intervals of the
     response. `observed`: number n of observations."""
     from scipy.special import fdtrc

@@ -11,10 +11,10 @@ smallest held-out error. The rule selects the simplest curve whose error exceeds
 of the smallest error. The number of coefficients is at most half of the number of temperatures, rounded up, because otherwise, with
 few temperatures, one of the many possible curves would fit by chance.
 
-If the data select the order, the usual interval is too narrow: terms that were not selected may still be as large as a standard
-deviation, and the usual interval ignores them. The uncertainty of a selected curve is therefore computed from the curve of the
-highest order tried, which does not depend on the selection. The difference between the selected curve and the curve of the highest
-order is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
+If the data select the order, the usual interval is too narrow, because terms that were not selected may still be as large as a
+standard deviation, and the usual interval ignores them. The uncertainty of a selected curve is therefore computed from the curve of
+the highest order tried, which does not depend on the selection. The difference between the selected curve and the curve of the
+highest order is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
 
 The noise of values may be correlated over time by the flicker that the bench declares. Values and columns are then whitened with
 the covariance of the noise, and held-out errors are computed from the whitened values.

@@ -75,7 +75,7 @@ def scatter_between_repeats(
     found: TiltedResults, groups: Sequence[Group], answers: Sequence[Array], flicker: Sequence[CorrelatedError] = ()
 ) -> Scatter:
     """Returns the type A uncertainty from the scatter of the repeats. The variance of a quantity is pooled over the temperatures.
-    It is not pooled if Bartlett's test finds that the variance differs between the temperatures. The correlations between
+    The variance is not pooled if Bartlett's test finds that the variance differs between the temperatures. The correlations between
     quantities come from the repeats of all temperatures. A part of the declared flicker is common to all repeats. The scatter of
     the repeats cannot show this part, so it is added. `answers`: sensitivities of each group, from `answers_of`. Raises
     `EstimationError` if the rates are not repeated at a temperature."""
