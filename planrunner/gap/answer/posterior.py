@@ -64,9 +64,9 @@ class Posterior:
     evidence is computed from the coefficients alone. `sets`: the evaluated sets of two or more deterministic effects. `kinds`: log
     evidence, relative to "none", of each pattern that belongs to "unknown". `by_channel`: for each pattern, an array of shape (K,),
     its log Bayes factor in each channel alone. `levels`: names of the effects that only change the noise level. `lines`: tones in
-    the recording. `beside`: probability that a tone or bursts are present in addition to an effect. `log_weights`: logarithms of the
-    probabilities in `probability`, up to a constant; also of probabilities that are too small for a floating-point number.
-    """
+    the recording. `beside`: probability that a tone or bursts are present in addition to an effect. `log_weights`: logarithms of
+    the probabilities in `probability`, up to a constant. They include hypotheses whose probability is too small for a
+    floating-point number."""
 
     probability: dict[str, float]
     log_evidence: dict[str, float]
@@ -411,14 +411,15 @@ def _eventful(within: Array | float, outside: float) -> Array:
 
 def _or_beside(kinds: Kinds, event: float, within: float = 0.0) -> float:
     """Returns the log Bayes factor of the possibilities in addition to an effect: an event of the noise, or a tone or bursts that
-    have an independent cause. `event`: log Bayes factor of noise that may contain an event. `within`: the same if the tone or the
-    bursts are present; it counts only the part in the coefficients, because the bursts explain the other part."""
+    have an independent cause. `event`: log Bayes factor of noise that may contain an event. `within`: log Bayes factor of noise
+    that may contain an event if the tone or the bursts are present. It includes only the part of the event in the coefficients,
+    because the bursts explain the other part."""
     return float(np.logaddexp(np.log1p(-BESIDE) + event, np.log(BESIDE) + kinds.outside + within))
 
 
 def _beside(kinds: Kinds) -> float:
-    """Returns the same as `_or_beside`, without the part of an event in the coefficients. This factor is added to every hypothesis
-    with an effect."""
+    """Returns the log Bayes factor of `_or_beside`, without the part of an event in the coefficients. This factor is added to every
+    hypothesis with an effect."""
     return _or_beside(kinds, float(_eventful(0.0, kinds.event_outside)))
 
 

@@ -124,7 +124,8 @@ def leading(
 def _most(
     log_evidence: Mapping[str, float], log_weights: Mapping[str, float], among: Collection[str], least: float
 ) -> str | None:
-    """Returns the most probable set of effects in `among` whose log evidence is at least `least` and that of a strong effect."""
+    """Returns the most probable set of effects in `among` whose log evidence is at least `least` and at least the log evidence of a
+    strong effect."""
     known = [
         name
         for name, value in log_evidence.items()

@@ -236,7 +236,8 @@ def _unexplained(rates: Array, outputs: Array, axes: Array, steps: int) -> Array
     first, count = np.arange(2 * steps, -1, -1), len(inside)
 
     def windowed(values: Array) -> Array:
-        """Returns the sums of values (n, …) over the windows in which the rates of each delay are."""
+        """Returns the sum of values (n, …) over the window of each delay, shape (2 · steps + 1, …). The window contains the samples
+        of the rates that this delay assigns to the outputs."""
         total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
         return np.asarray(total[first + count] - total[first])
 

@@ -580,7 +580,7 @@ def settled(
     Repeated fits to the data minus the effect would converge slowly: in segments with a limited output, these data follow the scale
     factor of the preceding fit. Therefore, the fit includes the change of the effect with the parameters (Gauss–Newton). The first
     derivatives are differences over wide steps (`_WIDTHS`): within a dead zone, the output is zero, and the exact derivative would
-    not show how to leave the dead zone. The steps can also lead far away from the parameters. If the fit does not end with the
+    not show how to leave the dead zone. The steps may also lead away from the best parameters. If the fit does not end with the
     smallest misfit, it is repeated with small steps from the parameters with the smallest misfit, separately in each channel.
     """
     found, steps = list(values), _steps(weighing)

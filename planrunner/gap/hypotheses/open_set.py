@@ -97,13 +97,12 @@ def _event(patterns: _Patterns, channels: list[Left]) -> float:
 def something_else(
     weighing: Weighing, signatures: Sequence[Array] = (), explained: float = np.inf
 ) -> tuple[float, float]:
-    """Returns two log Bayes factors at the most probable setting of the noise: of the patterns of the coefficients, relative to no
-    pattern, and of a single event of a few seconds in the coefficients. The first is the mean over single patterns and over
-    combinations of patterns. If the weighing includes effects
-    (`Weighing.beside`), this is the evidence for something else in addition to these effects. `signatures`: for each channel, the
-    coefficients (M,) that these effects cause. `explained`: log evidence of these effects. One further pattern is a separate size
-    of the effects in each motion. If this pattern explains more than the effects themselves, it is not a property of the effects,
-    and the pattern is left out."""
+    """Returns two log Bayes factors at the most probable setting of the noise. The first is for the patterns of the coefficients,
+    relative to no pattern; the second is for a single event of a few seconds in the coefficients. The first is the mean over single
+    patterns and over combinations of patterns. If the weighing includes effects (`Weighing.beside`), both factors describe
+    something else in addition to these effects. `signatures`: for each channel, the coefficients (M,) that these effects cause.
+    `explained`: log evidence of these effects. One further pattern is a separate size of the effects in each motion. If this
+    pattern explains more than the effects themselves, it is not a property of the effects, and the pattern is left out."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
     patterns = _Patterns(weighing)
     each = patterns.weighed(channels)
