@@ -86,3 +86,23 @@ def test_a_limit_of_the_output_is_named_with_its_value(steady: Observed, limit: 
     found = [one.message for one in log if one.code == "gap-saturated" and steady.channels[0].name in one.message]
     assert len(found) == (2 if limit < np.inf else 0)
     assert all(f"{np.degrees(limit):.4g} deg/s" in message for message in found)
+
+
+@pytest.mark.parametrize(("limit", "named"), [(np.inf, []), (10.0, [10.0])])
+def test_a_long_rest_in_coarse_counts_is_no_limit(steady: Observed, limit: float, named: list[float]) -> None:
+    """The reference rests in nine of ten samples and turns at up to 30 deg/s in one direction. The smallest value of the output is that
+    at rest. A limit is named only where the reference shows larger rates."""
+    samples = len(steady.values)
+    phase = np.arange(samples) % 1000
+    rate = np.where(phase < 100, 30.0 * np.sin(np.pi * phase / 100), 0.0)  # deg/s
+    output = np.clip(np.round((1.002 * rate + 0.1) / 0.5) * 0.5, -limit, limit)
+    rates = np.deg2rad(np.column_stack([rate, np.zeros(samples), np.zeros(samples)]))
+    values = steady.values.copy()
+    values[:, 0] = np.deg2rad(output)
+    motions = (RecordedMotion(angle="encoder"),) * len(steady)
+    recorded = replace(steady, motions=motions, values=values, felt=(rates, steady.force))
+    log = Findings()
+    check_observed(recorded, "recording", log)
+    found = [one.message for one in log if one.code == "gap-saturated" and steady.channels[0].name in one.message]
+    assert len(found) == len(named)
+    assert all(f"value {value:.4g} deg/s" in message for value, message in zip(named, found, strict=True))

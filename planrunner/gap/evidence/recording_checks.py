@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment, Statistics, in_time_order
 from planrunner.base.arrays import Array
@@ -222,7 +223,8 @@ def _unsteady(values: Array, rate: float, earth_rate: float) -> tuple[float, flo
 
 def _check_limits(observed: Observed, mark: Mark, log: Findings) -> None:
     """Warns if the output of a channel is limited during a recorded motion. A limited output has its largest or smallest value in
-    many samples, but the next value in hardly any sample. If the counts are only coarse, both values occur about equally often."""
+    many samples, but the next value in hardly any sample. If the counts are only coarse, both values occur about equally often,
+    unless the motion itself rests at this value. The reference shows whether it does (`_rests`)."""
     moved = observed.moved[observed.owner]
     for index, channel in enumerate(observed.channels if moved.any() else ()):
         values = observed.values[moved, index]
@@ -232,11 +234,25 @@ def _check_limits(observed: Observed, mark: Mark, log: Findings) -> None:
             if count < LIMITED or not len(others):
                 continue
             nearest = others[np.argmin(np.abs(others - extreme))]
-            if count >= LIMITED * np.count_nonzero(np.isclose(others, nearest, rtol=1e-9, atol=0.0)):
+            often = count >= LIMITED * np.count_nonzero(np.isclose(others, nearest, rtol=1e-9, atol=0.0))
+            stimulus = (observed.omega if channel.kind == "gyro" else observed.force)[moved]
+            if often and not _rests(values, stimulus, at, abs(float(nearest - extreme))):
                 value = f"{extreme / channel.factor:.4g} {channel.unit}"
                 message = f"'{channel.name}' has the value {value} in {count / len(values):.1%} of the samples, and no sample beyond it"
                 hint = "the output is limited, which looks like an effect: lower the rates, or set a larger measurement range"
                 log.warning("gap-saturated", mark, message, hint)
+
+
+def _rests(values: Array, stimulus: Array, at: NDArray[np.bool_], step: float) -> bool:
+    """Returns True if an output has a value because the motion rests there. The nominal model is fitted to the samples between the
+    smallest and the largest value. If it gives the value itself, within a count, the output is not limited.
+
+    `values`: array of shape (n,). `stimulus`: array of shape (n, 3), motion that the reference shows. `at`: array of shape (n,), True
+    for samples with the value. `step`: distance to the next value that occurs, in the unit of `values`."""
+    design = np.column_stack([stimulus, np.ones(len(stimulus))])
+    between = (values > values.min()) & (values < values.max()) & ~at
+    fitted = np.linalg.lstsq(design[between], values[between], rcond=RANK)[0]
+    return bool(abs(float(np.mean(design[at] @ fitted - values[at]))) <= step)
 
 
 def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
