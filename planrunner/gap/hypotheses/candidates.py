@@ -452,10 +452,9 @@ class Weighing:
     def moving(
         self, change: Sequence[Array], values: Sequence[Array], beside: Sequence[Array] | None = None
     ) -> Weighing:
-        """Returns a copy that takes account of how an effect changes with the nominal parameters. `change`: for each channel, the
-        change (M, q) of the effect per magnitude of each parameter. `values`: for each channel, the values (q,) of the parameters
-        at which the effect is evaluated. `beside`: for each channel, further columns (M, P) with free amplitudes, None if there are
-        none."""
+        """Returns a copy that includes the change of an effect with the nominal parameters. `change`: for each channel, the change
+        (M, q) of the effect per magnitude of each parameter. `values`: for each channel, the values (q,) of the parameters at which
+        the effect is evaluated. `beside`: for each channel, further columns (M, P) with free amplitudes, None if there are none."""
         found = self.spectrum.values.copy()
         nominal, changed = list(self.nominal), [bool(own.any()) for own in change]
         for index, (own, at) in enumerate(zip(change, values, strict=True)):

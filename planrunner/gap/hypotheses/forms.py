@@ -142,9 +142,9 @@ def _along_secants(
     weighing: Weighing, effect: CurvedAndShaped, usable: list[Weighed], log_bayes: Array
 ) -> tuple[list[Weighed], Array]:
     """Does the same as `_curved`, for an effect that has a shape. First, the secants at the amplitudes of the most probable shape
-    are computed, and the nominal parameters are fitted to the data minus this effect. Then the shape is searched again with these
-    secants, at the output that these parameters give. This is repeated as long as the evidence increases. `usable`: the evaluated
-    forms. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape."""
+    are computed, and the nominal parameters are fitted to the data minus this effect. Then the search for the shape is repeated
+    with these secants, at the output that these parameters give. This is repeated as long as the evidence increases. `usable`: the
+    evaluated forms. `log_bayes`: array of shape (G,), log Bayes factor averaged over the shape."""
     for _ in range(_SETTLING):
         best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
         size = np.array([column.magnitude for column in best.variant.columns])
@@ -286,7 +286,7 @@ def whole_forms(
 @dataclass(frozen=True)
 class _Found:
     """Contains a shape that was found for an effect with the amplitude 1. `seen`: the recording with the nominal output. `along`:
-    the prepared recording with which the shape was searched. `sigma`: standard deviation of the logarithm of the shape."""
+    the prepared recording in which the shape was found. `sigma`: standard deviation of the logarithm of the shape."""
 
     seen: Observed = field(repr=False)
     along: Weighing = field(repr=False)
@@ -419,9 +419,9 @@ class OnOthers:
         return max(self.forms, key=lambda one: one[1])[0]
 
     def weighed(self, weighing: Weighing, together: Weighed) -> tuple[Weighing, Weighed]:
-        """Returns a copy of `weighing` that takes account of how the effect changes with the nominal parameters, and the evaluation
-        of all columns of the effects (`together`) with this copy. The uncertainty of the amplitudes then includes the uncertainty
-        of the nominal parameters."""
+        """Returns two results. The first is a copy of `weighing` that includes the change of the effect with the nominal
+        parameters. The second is the evaluation of all columns of the effects (`together`) with this copy. The uncertainty of the
+        amplitudes then includes the uncertainty of the nominal parameters."""
         along = weighing.moving(self.point.change, self.point.values)
         (found,) = along.weigh([together.variant], together.raw)
         return along, found
@@ -562,8 +562,8 @@ def operating_point(
 def moving(
     weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], columns: Sequence[Column]
 ) -> Weighing:
-    """Returns a copy of `weighing` that takes account, to the first order, of how an effect on the output changes with the nominal
-    parameters. The shape of the effect is then searched together with the parameters and with the amplitudes of other effects.
+    """Returns a copy of `weighing` that includes, to first order, the change of an effect on the output with the nominal
+    parameters. The shape of the effect is then found together with these parameters and with the amplitudes of other effects.
     `values`: values of the parameters of each channel. `columns`: columns of the other effects, with samples."""
     seen = weighing.seen(values)
     change = _changes(weighing, effect, shape, seen, 1.0, _steps(weighing))
