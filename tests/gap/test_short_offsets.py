@@ -3,17 +3,20 @@ whose size depends on the motion in another way."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from planrunner.error_model.effects.gyro import GyroScaleAsymmetry
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import competitors
+from planrunner.gap.hypotheses.open_set import competitors, look_alike
 from planrunner.gap.hypotheses.outside import BURSTS, _here_and_there, whole_and_largest
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
 from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS
-from planrunner.plan.schedule import Rest, Spin
+from planrunner.plan.schedule import RecordedMotion, Rest, Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Fault, kept, record
 
 Array = np.ndarray
@@ -152,6 +155,23 @@ def test_an_effect_whose_size_is_another_in_each_motion_is_imitated(sizes: tuple
 
     found = diagnose(record(seed=64, fault=fault))
     assert found.verdict.kind == kind
+
+
+@pytest.mark.parametrize(("sizes", "least", "most"), [((1.0, 1.0, 1.0), -100, 0), ((1.0, -1.6, 0.5), 100, 1e5)])
+def test_a_recorded_motion_is_another_in_each_segment(sizes: tuple[float, ...], least: float, most: float) -> None:
+    """The same asymmetry, in 18 turns that a reference shows instead of commanded ones. Separate sizes cost evidence."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        rate = np.abs(observed.rate) / DEG
+        size = np.select([rate < 25, rate < 60], sizes[:2], sizes[2])
+        return 1.5e-4 * np.abs(omega) * size[:, None], 0.0
+
+    whole = record(seed=64, fault=fault)
+    whole = kept(whole, [index for index, m in enumerate(whole.motions) if isinstance(m, Rest | Spin)])
+    motions = tuple(RecordedMotion(angle="encoder") if isinstance(m, Spin) else m for m in whole.motions)
+    weighing = Weighing(replace(whole, motions=motions))
+    (effect,) = weighing.weigh(GyroScaleAsymmetry().variants(weighing.observed))
+    assert least < look_alike(weighing, [raw @ effect.amplitudes[0] for raw in effect.raw]) < most
 
 
 @pytest.mark.parametrize("size", [1.8, 2.5])

@@ -21,7 +21,7 @@ from planrunner.error_model.effects.table import RIPPLES
 from planrunner.error_model.observed import Observed
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.observation.surroundings import CHANGED
-from planrunner.plan.schedule import Motion, Rest, Rock, Spin
+from planrunner.plan.schedule import Motion, RecordedMotion, Rest, Rock, Spin
 
 Rows = NDArray[np.bool_]
 
@@ -250,20 +250,23 @@ def _upward(observed: Observed, segment: int) -> Hashable:
 
 
 def sizes(weighing: Weighing, signatures: Sequence[Array]) -> PatternDesign:
-    """Makes a pattern in which an effect has a separate size for each motion: for each rate of turning, and for each frequency and
-    amplitude of rocking. A cause outside the catalogue that resembles the effect usually depends on the motion in another way than
-    the effect does.
+    """Makes a pattern in which an effect has a separate size for each motion: for each rate of turning, for each frequency and
+    amplitude of rocking, and for each segment of a recorded motion. A cause outside the catalogue that resembles the effect usually
+    depends on the motion in another way than the effect does.
 
     `signatures`: for each channel, the coefficients (M,) that the effect causes."""
-    motions = [_speed(motion) for motion in weighing.observed.motions]
+    motions = [_speed(motion, index) for index, motion in enumerate(weighing.observed.motions)]
     here = _levels(motions)[weighing.spectrum.segment]
     return SIZES, [own[:, None] * here for own in signatures]
 
 
-def _speed(motion: Motion) -> str:
-    """Returns a key for the rate of a turning motion, or for the frequency and amplitude of a rocking motion."""
+def _speed(motion: Motion, segment: int) -> str:
+    """Returns a key for the rate of a turning motion, or for the frequency and amplitude of a rocking motion. A recorded motion is
+    different in each segment. `segment`: index of the segment."""
     if isinstance(motion, Spin):
         return f"{abs(motion.rate):.6g}"
+    if isinstance(motion, RecordedMotion):
+        return f"segment {segment}"
     return f"{motion.frequency:.6g}, {motion.amplitude:.6g}" if isinstance(motion, Rock) else ""
 
 
