@@ -148,6 +148,7 @@ class RecordedSegment:
     scatter follows from the declared noise, and the means contain no noise. `finds`: findings of the screening; None if the segment
     has not been screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were
     recorded, so that there are no samples to read. `repeats`: maps each screened output to its repeated values.
+    `parts`: maps each output at rest or at a constant rate to the means of equal parts of the segment, in the channel's unit.
     """
 
     segment: Segment
@@ -161,6 +162,7 @@ class RecordedSegment:
     share: float = 1.0
     summary: bool = False
     repeats: Mapping[str, RepeatedValues] = field(default_factory=dict)
+    parts: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def label(self) -> str:
@@ -211,6 +213,9 @@ class Watcher(Protocol):
 
     def repeats(self) -> Mapping[str, RepeatedValues]:
         """Maps each output to its repeated values; call this method after `finds`."""
+
+    def parts(self) -> Mapping[str, Array]:
+        """Returns the means of equal parts of the segment for each output, after the findings have been returned."""
 
 
 WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]

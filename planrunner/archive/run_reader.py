@@ -177,7 +177,7 @@ class RunReader:
             statistics = statistics_of(blocks, tuple(units), rows, watcher, segment.motion)
             made = RecordedSegment(segment, units, statistics, read, item.truncated, readings)
             if watcher is not None:
-                made = replace(made, finds=watcher.finds(), repeats=watcher.repeats())
+                made = replace(made, finds=watcher.finds(), repeats=watcher.repeats(), parts=watcher.parts())
             segments.append(made)
         return tuple(segments)
 

@@ -36,6 +36,7 @@ from planrunner.estimators.monte_carlo_validation import Chains, linear_chain, v
 from planrunner.estimators.open_flicker import with_flicker_words
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.estimators.screened_estimate import estimated
+from planrunner.estimators.transients import transient_words
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.observation.lattice import differ, undeclared_step
 from planrunner.observation.screening import screened, varies
@@ -67,7 +68,8 @@ def analyse(
     """
     looked_at = screened(announced(recording, "screening the samples", notice), sensor)
     recording = [
-        replace(item, finds=one.finds, repeats=one.repeats) for item, one in zip(recording, looked_at, strict=True)
+        replace(item, finds=one.finds, repeats=one.repeats, parts=one.parts)
+        for item, one in zip(recording, looked_at, strict=True)
     ]
     made: dict[str, Estimate] = {}
     failures: dict[str, str] = {}
@@ -166,7 +168,12 @@ def _estimate(
         how = spec.validate if isinstance(spec.validate, MonteCarloSpec) else USUAL
         estimate = validated(estimate, draws, how, not chained, workers)
     rounded = coarse_counts(counted, channels_of(spec.parameters), sensor)
-    further = (*rounded, *lost_samples(chosen, sensor.sample_rate), *thermometer_words(chosen, spec.parameters))
+    further = (
+        *rounded,
+        *transient_words(counted, channels_of(spec.parameters), sensor),
+        *lost_samples(chosen, sensor.sample_rate),
+        *thermometer_words(chosen, spec.parameters),
+    )
     return replace(estimate, warnings=(*estimate.warnings, *further))
 
 

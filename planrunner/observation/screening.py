@@ -91,6 +91,8 @@ _SHORT = 64  # lengths of runs that are counted one by one
 _SHOWN = 256  # runs of equal samples whose values are kept, to show the count of a channel
 _RUNS = 20  # fewest runs from which the usual length is determined
 _BINS, _FEWEST_BINS = 1024, 64  # means in which steps are sought
+PARTS = 16
+"""Number of equal parts of a segment whose means are kept, to show transients."""
 _STEP = 8.0  # robust standard deviations of the differences between neighbouring means
 _LEVEL = 0.25  # of a step: largest change of the level on either side of the step
 _STEP_LENGTHS = (4, 16)  # means on either side
@@ -114,7 +116,7 @@ def _screened(item: RecordedSegment, watch: WatcherOf) -> RecordedSegment:
     watcher = watch(item.segment, item.units, item.statistics.count + item.statistics.rejected)
     for block in item.blocks(tuple(item.units)):
         watcher.add(block)
-    return replace(item, finds=watcher.finds(), repeats=watcher.repeats())
+    return replace(item, finds=watcher.finds(), repeats=watcher.repeats(), parts=watcher.parts())
 
 
 _STANDING = (DIMENSIONS["temperature"], DIMENSIONS["angle"])
@@ -367,6 +369,7 @@ class Screening:
         self.bin = int(2 ** min(14, max(4, math.ceil(math.log2(max(rows / _BINS, 1))))))
         self.means: list[list[Array]] = [[] for _ in self.channels]
         self.bin_times: list[Array] = []
+        self.in_parts: dict[str, Array] = {}
         self.found: list[list[Find]] = [[] for _ in self.channels]
         self.more = [0] * k  # finds that were not kept
         self.in_time: list[Find] = []
@@ -438,6 +441,11 @@ class Screening:
     def repeats(self) -> dict[str, RepeatedValues]:
         """Returns how the samples of each channel repeat. The method must be called after `finds`."""
         return {name: runs.repeats(self.done) for name, runs in zip(self.channels, self.runs, strict=True) if self.done}
+
+    def parts(self) -> dict[str, Array]:
+        """Returns the means of equal parts of the segment without bad samples, shape (PARTS,), for each channel with enough
+        samples. The result is empty unless the sensor is at rest or at a constant rate. The method must be called after `finds`."""
+        return self.in_parts
 
     def _look_at_filled(self) -> None:
         place = slice(0, self.filled)
@@ -728,12 +736,15 @@ class Screening:
         if not self.steady or not self.means[k]:
             return []
         means, times = np.concatenate(self.means[k]), np.concatenate(self.bin_times)
-        if len(means) < _FEWEST_BINS:
+        if len(means) < PARTS:
             return []
         for one in found:
             touched = (times + self.bin * self.interval >= one.time) & (times <= one.time + one.seconds)
             if np.count_nonzero(~touched) > 0:
                 means[touched] = np.interp(np.flatnonzero(touched), np.flatnonzero(~touched), means[~touched])
+        self.in_parts[self.channels[k]] = np.array([part.mean() for part in np.array_split(means, PARTS)])
+        if len(means) < _FEWEST_BINS:
+            return []
         out: list[Find] = []
         for length in _STEP_LENGTHS:
             sums = np.concatenate(([0.0], np.cumsum(means - means.mean())))
