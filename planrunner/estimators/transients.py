@@ -47,7 +47,7 @@ def transient_words(
             if chance >= _CHANCE:
                 continue
             largest = int(np.argmax(np.abs(off)))
-            values = {
+            values: dict[str, str | float] = {
                 "output": output.name,
                 "segment": having[largest].label,
                 "size": float(off[largest]),
