@@ -3,19 +3,22 @@ whose size depends on the motion in another way."""
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from planrunner.error_model.effects.gyro import GyroScaleAsymmetry
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import competitors, look_alike
-from planrunner.gap.hypotheses.outside import BURSTS, _here_and_there, whole_and_largest
+from planrunner.gap.hypotheses.outside import BURSTS, _here_and_there, scopes_of, whole_and_largest
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
-from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS
+from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets, _windows
 from planrunner.plan.schedule import RecordedMotion, Rest, Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Fault, kept, record
 
@@ -218,3 +221,57 @@ def test_a_class_contains_something_else_if_the_plan_cannot_exclude_it() -> None
     said = diagnose(kept(whole, first + turns)).verdict
     assert said.kind == "indistinguishable"
     assert {"accel_bias_step", "unknown"} <= set(said.members)
+
+
+def _slow(observed: Observed) -> Observed:
+    """The same recording of gyros with declared flicker and coloured noise: the means of all segments are whitened together."""
+    channels = tuple(replace(one, flicker=one.white / 2) for one in observed.channels)
+    noise = np.random.default_rng(3).standard_normal(observed.values.shape) * [one.white for one in channels]
+    noise = lfilter([1.0], [1.0, -0.8], noise, axis=0) * np.sqrt(RATE)
+    return replace(observed, channels=channels, values=observed.values + noise)
+
+
+@pytest.mark.parametrize("setting", [0, -1])
+@pytest.mark.parametrize("slow", [False, True])
+def test_windows_are_weighed_as_their_whitened_coefficients(slow: bool, setting: int) -> None:
+    """Energies and scores, before and after an offset has been fitted, against whitened windows of samples."""
+    recorded = record(seed=61, fault=offsets({2: 4.0, 9: 11.0}, 2.0))
+    weighing = Weighing(_slow(recorded) if slow else recorded)
+    observed, left = weighing.observed, Left.whole(weighing.weights[0][setting])
+    size, step, samples = 20, 10, int(np.diff(observed.bounds)[0])
+    starts = np.concatenate([begin + np.arange(0, samples - size + 1, step) for begin in observed.bounds[:-1]])
+    windows = np.zeros((len(observed.time), len(starts)))
+    for column, start in zip(windows.T, starts, strict=True):
+        column[start : start + size] = 1.0
+    whitened = left.weight.project(weighing.spectrum.project(observed, windows))
+    (one, *_), residual = ShortOffsets(weighing)._of(left), left.residual
+    for fitted in (41, 150, 0):
+        np.testing.assert_allclose(one.size, (whitened**2).sum(0), rtol=1e-9, atol=1e-12 * one.size.max())
+        np.testing.assert_allclose(one.score, whitened.T @ residual, rtol=1e-7, atol=1e-7)
+        unit = whitened[:, fitted] / np.linalg.norm(whitened[:, fitted])
+        residual, whitened = residual - unit * (unit @ residual), whitened - np.outer(unit, unit @ whitened)
+        one = one.without(fitted)
+
+
+@pytest.mark.parametrize(("samples_per_second", "positions"), [(1.0, 1), (2.0, 2), (3.0, 3), (4.0, 2), (5.0, 2.5)])
+def test_the_number_of_windows_is_that_of_windows_beside_each_other(
+    samples_per_second: float, positions: float
+) -> None:
+    """Windows of one second contain 1 to 5 samples. In a segment of 20 s, 20 of them lie beside each other; at the ends of the segment,
+    some positions are missing."""
+    weighing = Weighing(record(seed=1, sampling=samples_per_second))
+    windows = _windows(weighing, 1.0)
+    assert windows is not None
+    np.testing.assert_allclose(windows.share, 1 / positions)
+    assert windows.count / len(weighing.observed) == pytest.approx(20, abs=1)
+
+
+def test_windows_take_no_memory_that_grows_with_the_square_of_the_segments() -> None:
+    """The whitened windows of a channel would be 8 bytes × 328 coefficients × 4592 windows, 12 MB; six channels are evaluated."""
+    weighing = Weighing(record(seed=1, sampling=60.0))
+    channels = [Left.whole(own[0]) for own in weighing.weights]
+    tracemalloc.start()
+    ShortOffsets(weighing).weighed(scopes_of(weighing), channels)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 10e6

@@ -113,6 +113,10 @@ class Correlation:
         """Converts independent coefficients (M, …) to standardised ones."""
         return self._times(self._factor, columns)
 
+    def apart_transposed(self, columns: Array) -> Array:
+        """Multiplies columns (M, …) by the transpose of the matrix by which `apart` multiplies them."""
+        return self._times(np.swapaxes(self._inverse, 1, 2), columns)
+
     def whole(self) -> Array:
         """Returns the correlation matrix (M, M)."""
         out = np.zeros((self.count, self.count))
@@ -242,6 +246,12 @@ class WalkAcross:
             np.add.reduceat((columns.T * part).T, self.first, axis=0) for part in (self.own, self.afterwards)
         )
         return np.asarray(own + np.cumsum(afterwards, axis=0) - afterwards)
+
+    def transposed_product(self, columns: Array) -> Array:
+        """Returns the product of the transposed covariances (M, S) with columns (S, P), shape (M, P)."""
+        own = np.repeat(np.arange(len(columns)), np.diff([*self.first, len(self.own)]))
+        later = np.cumsum(columns[::-1], axis=0)[::-1] - columns
+        return np.asarray(self.own[:, None] * columns[own] + self.afterwards[:, None] * later[own])
 
     def squared(self) -> Array:
         """Returns the product of the covariances (S, M) with their transpose, shape (S, S)."""

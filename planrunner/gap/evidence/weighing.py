@@ -351,6 +351,21 @@ class ChannelWeights:
             out[self._means] = self._inverse @ means
         return out
 
+    def transposed(self, columns: Array) -> Array:
+        """Multiplies columns (M, P) by the transpose of the matrix by which `whiten` multiplies them. The product of whitened
+        coefficients W·c with a column y is then cᵀ·(Wᵀ·y), without whitening c."""
+        own, means = columns, None
+        if self._inverse is not None:
+            means = self._inverse.T @ columns[self._means]
+            own = columns.copy()
+            own[self._means] = 0.0
+            if self._predicted is not None:
+                own -= self._predicted.transposed_product(means)
+        out = (own if self._correlation is None else self._correlation.apart_transposed(own)) * self.scale[:, None]
+        if means is not None:
+            out[self._means] += means / self._root[:, None]
+        return out
+
     def unwhiten(self, whitened: Array) -> Array:
         """Inverts `whiten`. `whitened`: array of shape (M, n)."""
         joined = whitened if self._correlation is None else self._correlation.joined(whitened)

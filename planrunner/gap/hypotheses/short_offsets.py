@@ -10,13 +10,20 @@ chosen, its offset is fitted, and the next window is evaluated on the remaining 
 windows. It is therefore a lower limit of the evidence of all possible choices. As for bursts, the evidence of a single window is
 also stated separately.
 
-In array shapes, M is the number of coefficients of a channel, W is the number of windows, and q is the number of basis vectors.
+
+A window acts only on the m coefficients of its own segment. The products of whitened windows with each other therefore follow from
+the m × m products of the whitened coefficients of a segment, and the products with a column y follow from Wᵀ·y, where W is the
+whitening matrix. Whitened windows are never stored.
+
+In array shapes, S is the number of segments, M of coefficients of a channel, m of coefficients of a segment, W of windows, and q of
+basis vectors.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,24 +36,57 @@ from planrunner.gap.hypotheses.outside import CHANCES, KEPT, LENGTHS, whole_and_
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 
 SHORT_OFFSETS = Pattern("offset for a few seconds", Sort.SEVERAL, Factor.TIME)
-STEPS = 2  # number of windows of one length that begin within this length
+STEPS = 2  # number of windows that begin within the length of a window, as far as whole samples allow
 MOST = 16  # largest number of offsets that are fitted
 COMPARED = 8  # number of windows with the largest energy of the fit, for which the evidence is computed
-LARGEST = 1 << 24  # largest number of coefficients of all windows of one length; longer runs are not examined
+LARGEST = (
+    1 << 24
+)  # largest number of windows of one length times coefficients of a channel; longer runs are not examined
 
+_AT_ONCE = 16  # number of segments whose coefficients are whitened together
 _NOTHING = 1e-9  # fraction of the largest energy of a window; smaller energies are rounding errors
 
 
 @dataclass(frozen=True)
 class _Windows:
-    """Contains windows of one length. `columns`: array of shape (M, W), the coefficients of an offset of 1 in each window."""
+    """Contains windows of one length.
 
-    columns: Array
+    `coefficients`: array of shape (W, m), the coefficients that an offset of 1 in each window causes in its segment; zero beyond the
+    number of coefficients of the segment. `segment`: array of shape (W,), index of the segment of each window. `share`: array of shape
+    (W,), the distance between the beginnings of successive windows, divided by their length. `rows`: array of shape (S, m), indices of
+    the coefficients of each segment, −1 beyond their number.
+    """
+
+    coefficients: Array
+    segment: NDArray[np.int64]
+    share: Array
+    rows: NDArray[np.int64]
 
     @property
     def count(self) -> float:
         """Returns the number of windows that do not overlap."""
-        return float(self.columns.shape[1] / STEPS)
+        return float(self.share.sum())
+
+    def products(self, column: Array) -> Array:
+        """Returns the product of each window with a column (M,), shape (W,)."""
+        padded = np.append(column, 0.0)[self.rows]  # −1 selects the zero
+        return np.asarray(np.einsum("wj,wj->w", self.coefficients, padded[self.segment]))
+
+    def energies(self, products: Array) -> Array:
+        """Returns the energy of each window, shape (W,). `products`: array of shape (S, m, m), the products of the whitened coefficients
+        of each segment with each other."""
+        found = np.empty(len(self.segment))
+        ends = np.searchsorted(self.segment, np.arange(len(products) + 1))
+        for index, (low, high) in enumerate(pairwise(ends)):
+            own = self.coefficients[low:high]
+            found[low:high] = np.einsum("wj,wj->w", own @ products[index], own)
+        return found
+
+    def of(self, window: int) -> tuple[Array, NDArray[np.int64]]:
+        """Returns the coefficients of one window, and their indices among all coefficients."""
+        rows = self.rows[self.segment[window]]
+        inside = rows >= 0
+        return self.coefficients[window, inside], rows[inside]
 
 
 class ShortOffsets:
@@ -57,65 +97,98 @@ class ShortOffsets:
         made = (_windows(weighing, length) for length in LENGTHS)
         self._windows = [windows for windows in made if windows is not None]
         self._known: dict[tuple[Left, ...], Array] = {}
+        self._channels: dict[Left, list[_Channel]] = {}
 
     def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> tuple[Array, Array]:
-        """Returns two log Bayes factors for the channels of each scope, each of shape (scopes,). The first is for any number of
-        short offsets, the second for one short offset. Both are −∞ if the run has no windows."""
+        """Returns two log Bayes factors in the channels of each scope, each of shape (scopes,): of short offsets, and of one short
+        offset. Both are −∞ if the run has no windows."""
         found = []
         for scope in scopes:
             key = tuple(channels[index] for index in scope)
             if key not in self._known:
-                each = [_evidence(windows, key) for windows in self._windows]
+                parts = zip(*map(self._of, key), strict=True)
+                each = [_evidence(windows, own) for windows, own in zip(self._windows, parts, strict=False)]
                 self._known[key] = log_mean_exp(np.array(each), 0) if each else np.full(2, -np.inf)
             found.append(self._known[key])
         several, single = np.array(found).T
         return np.asarray(several), np.asarray(single)
+
+    def _of(self, left: Left) -> list[_Channel]:
+        """Returns the windows of each length in a channel."""
+        if left not in self._channels:
+            products = _products(left, self._windows[0].rows) if self._windows else np.empty(0)
+            self._channels[left] = [_Channel.of(left, windows, products) for windows in self._windows]
+        return self._channels[left]
 
 
 def _windows(weighing: Weighing, length: float) -> _Windows | None:
     """Divides every segment into windows of `length` seconds, of which at least two must fit into the segment. Returns None if there
     are no windows or too many."""
     observed, spectrum = weighing.observed, weighing.spectrum
-    placed: list[tuple[int, Array]] = []
-    total = 0
+    coefficients, owners, shares, total = [], [], [], 0
+    sums: dict[int, Array] = {}
+    widest = max(basis.vectors.shape[1] for basis in spectrum.bases)
     for index, basis in enumerate(spectrum.bases):
         samples = len(basis.vectors)
         size = round(length * observed.sample_rate / int(observed.bin_size[index]))
-        starts = np.arange(0, samples - size + 1, max(size // STEPS, 1))
+        step = max(size // STEPS, 1)
+        starts = np.arange(0, samples - size + 1, step)
         if size < 1 or samples < 2 * size:
             continue
         total += len(starts)
         if total * len(spectrum.segment) > LARGEST:
             return None
-        sums = np.vstack([np.zeros(basis.vectors.shape[1]), np.cumsum(basis.vectors, axis=0)])
-        placed.append((index, (sums[starts + size] - sums[starts]).T * np.sqrt(int(observed.bin_size[index]))))
-    if not placed:
+        if id(basis) not in sums:
+            sums[id(basis)] = np.zeros((samples + 1, widest))
+            np.cumsum(basis.vectors, axis=0, out=sums[id(basis)][1:, : basis.vectors.shape[1]])
+        own = sums[id(basis)]
+        coefficients.append((own[starts + size] - own[starts]) * np.sqrt(int(observed.bin_size[index])))
+        owners.append(np.full(len(starts), index))
+        shares.append(np.full(len(starts), step / size))
+    if not coefficients:
         return None
-    columns = np.zeros((len(spectrum.segment), total))
-    owner = np.repeat([index for index, _ in placed], [own.shape[1] for _, own in placed])
-    for index, own in placed:
-        columns[np.ix_(spectrum.segment == index, owner == index)] = own
-    return _Windows(columns)
+    return _Windows(np.concatenate(coefficients), np.concatenate(owners), np.concatenate(shares), _rows(weighing))
 
 
-def _evidence(windows: _Windows, channels: Sequence[Left]) -> Array:
-    """Returns two log Bayes factors of offsets in the same windows of all `channels`, shape (2,): the first for all windows, the
-    second for a single window. Several windows of one segment do not count as a single event, because together they may be an
-    offset of the whole segment."""
-    rows = np.arange(len(windows.columns))
-    parts = [_Channel.of(left, *left.whitened(windows.columns, rows)) for left in channels]
-    whole = np.sum([part.size for part in parts], axis=0)
+def _rows(weighing: Weighing) -> NDArray[np.int64]:
+    """Returns the indices of the coefficients of each segment, shape (S, m); −1 beyond the number of coefficients of a segment."""
+    rows = weighing.spectrum.rows
+    found = np.full((len(rows), max(own.stop - own.start for own in rows)), -1)
+    for index, own in enumerate(rows):
+        found[index, : own.stop - own.start] = np.arange(own.start, own.stop)
+    return found
+
+
+def _products(left: Left, rows: NDArray[np.int64]) -> Array:
+    """Returns the products of the whitened coefficients of each segment with each other, shape (S, m, m). `rows`: the same as in
+    `_Windows`."""
+    found = np.zeros((*rows.shape, rows.shape[1]))
+    for first in range(0, len(rows), _AT_ONCE):
+        inside = rows[first : first + _AT_ONCE] >= 0
+        own = rows[first : first + _AT_ONCE][inside]
+        _, whitened = left.whitened(np.eye(len(own)), own)
+        gram = whitened.T @ whitened
+        ends = np.cumsum([0, *inside.sum(axis=1)])
+        for index, (low, high) in enumerate(pairwise(ends)):
+            found[first + index, : high - low, : high - low] = gram[low:high, low:high]
+    return found
+
+
+def _evidence(windows: _Windows, parts: Sequence[_Channel]) -> Array:
+    """Returns two log Bayes factors of offsets in the same windows of several channels (`parts`), shape (2,): in all windows, and in a
+    single window. Several windows of one segment are no single event: together, they may be an offset of the whole segment."""
+    whole, prior = np.sum([part.size for part in parts], axis=0), np.log(windows.share)
     gains: list[float] = []
     while len(gains) < MOST:
         size, score = (np.column_stack([getattr(part, name) for part in parts]) for name in ("size", "score"))
         unit = size.sum(1)
         free = unit > KEPT * whole
-        most = np.where(free, 0.5 * (score**2 / np.maximum(size, _NOTHING * unit.max())).sum(1), 0.0)
+        most = np.where(free, 0.5 * (score**2 / np.maximum(size, _NOTHING * unit.max())).sum(1), 0.0) + prior
         top = np.argsort(-most)[:COMPARED]
         top = top[most[top] + _odds(max(CHANCES)) > 0]
         if not len(top):
             break
-        each = averaged(from_eigen(size[top] / unit[top, None], score[top] ** 2 / unit[top, None], 1.0))
+        each = averaged(from_eigen(size[top] / unit[top, None], score[top] ** 2 / unit[top, None], 1.0)) + prior[top]
         best = int(top[np.argmax(each)])
         if each.max() + _odds(max(CHANCES)) <= 0:
             break
@@ -129,41 +202,45 @@ def _evidence(windows: _Windows, channels: Sequence[Left]) -> Array:
 
 
 def _odds(chance: float) -> float:
-    """Returns the log prior odds of an offset in one of the `STEPS` positions of a window. `chance`: probability that a window
-    contains an offset."""
-    return float(np.log(chance / (1 - chance) / STEPS))
+    """Returns the log prior odds of an offset in a window. `chance`: probability that a window contains an offset."""
+    return float(np.log(chance / (1 - chance)))
 
 
 @dataclass(frozen=True)
 class _Channel:
-    """Contains the windows of a channel after some offsets have been fitted. `at`: array of shape (n,), rows in which the whitened
-    `columns` (n, W) are not zero. `basis`: array of shape (M, q), orthonormal basis of the nominal columns and of the fitted
-    offsets. `residual`: array of shape (M,). `size`, `score`: arrays of shape (W,), energy of each column outside the basis, and
-    its product with the residual."""
+    """Contains the windows of a channel after some offsets have been fitted. `left`: the weighted coefficients of the channel. `basis`:
+    array of shape (M, q), orthonormal basis of the nominal columns and of the fitted offsets. `residual`: array of shape (M,). `size`,
+    `score`: arrays of shape (W,), energy of each whitened window outside the basis, and its product with the residual."""
 
-    at: NDArray[np.int64]
-    columns: Array
+    left: Left
+    windows: _Windows
     basis: Array
     residual: Array
     size: Array
     score: Array
 
     @classmethod
-    def of(cls, left: Left, at: NDArray[np.int64], columns: Array) -> _Channel:
-        size = (columns**2).sum(0) - ((left.basis[at].T @ columns) ** 2).sum(0)
-        score = columns.T @ left.residual[at]
-        return cls(at, columns, left.basis, left.residual, np.maximum(size, 0.0), score)
+    def of(cls, left: Left, windows: _Windows, products: Array) -> _Channel:
+        """Evaluates the windows without fitted offsets. `products`: the same as in `_Windows.energies`."""
+        size = windows.energies(products)
+        for column in left.weight.transposed(left.basis).T:
+            size -= windows.products(column) ** 2
+        score = windows.products(left.weight.transposed(left.residual[:, None])[:, 0])
+        return cls(left, windows, left.basis, left.residual, np.maximum(size, 0.0), score)
 
     def without(self, window: int) -> _Channel:
         """Returns the channel after the offset of a window has been fitted."""
+        coefficients, rows = self.windows.of(window)
+        at, whitened = self.left.whitened(coefficients[:, None], rows)
         column = np.zeros(len(self.residual))
-        column[self.at] = self.columns[:, window]
+        column[at] = whitened[:, 0]
         column -= self.basis @ (self.basis.T @ column)
         column /= max(float(np.linalg.norm(column)), 1e-300)
-        along, amount = column[self.at] @ self.columns, float(column @ self.residual)
+        along = self.windows.products(self.left.weight.transposed(column[:, None])[:, 0])
+        amount = float(column @ self.residual)
         return _Channel(
-            self.at,
-            self.columns,
+            self.left,
+            self.windows,
             np.column_stack([self.basis, column]),
             self.residual - amount * column,
             np.maximum(self.size - along**2, 0.0),
