@@ -44,7 +44,7 @@ from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
 from planrunner.plan.meaning import channels_of
 from planrunner.plan.model import USUAL, EstimateSpec, Limit, MonteCarloSpec
-from planrunner.plan.schedule import Rest, Spin
+from planrunner.plan.schedule import RecordedMotion, Rest, Spin
 from planrunner.plan.selection import select
 from planrunner.plan.units import DIMENSIONS, unit
 from planrunner.uncertainty.budget import Measured, combine
@@ -141,18 +141,19 @@ def _estimate(
     notice: Announce | None,
     workers: Workers,
 ) -> Estimate:
-    for used in spec.uses:
-        if used not in made:
-            why = "could not be made" if used in estimates else "is not in the plan"
-            raise EstimationError(f"it uses '{used}', which {why}")
+    for other in spec.uses:
+        if other not in made:
+            why = "could not be made" if other in estimates else "is not in the plan"
+            raise EstimationError(f"it uses '{other}', which {why}")
     labels = [recorded.label for recorded in recording]
     chosen = tuple(recording[index] for index in select(labels, patterns_of(spec)))
     if not chosen:
         raise EstimationError(f"no recorded segment has a label that matches {', '.join(patterns_of(spec))}")
-    chosen = announced(chosen, f"estimating '{name}'", notice)
+    used = _used_outputs(spec.parameters, sensor)
+    chosen = announced(_relevant(chosen, used, sensor), f"estimating '{name}'", notice)
     estimator = estimator_of(spec)
     detection = detection_of(spec, estimator)
-    uses = {used: made[used] for used in spec.uses}
+    uses = {other: made[other] for other in spec.uses}
 
     def requested(segments: tuple[RecordedSegment, ...]) -> EstimateRequest[Record]:
         return EstimateRequest(name, segments, spec.parameters, site, sensor, uses, detection, setup)
@@ -167,14 +168,38 @@ def _estimate(
         draws = estimator.chain(request, estimate) if isinstance(estimator, Chains) else linear_chain(estimate)
         how = spec.validate if isinstance(spec.validate, MonteCarloSpec) else USUAL
         estimate = validated(estimate, draws, how, not chained, workers)
-    rounded = coarse_counts(counted, channels_of(spec.parameters), sensor)
+    rounded = coarse_counts(counted, used, sensor)
     further = (
         *rounded,
-        *transient_words(counted, channels_of(spec.parameters), sensor),
+        *transient_words(counted, used, sensor),
         *lost_samples(chosen, sensor.sample_rate),
         *thermometer_words(chosen, spec.parameters),
     )
     return replace(estimate, warnings=(*estimate.warnings, *further))
+
+
+def _used_outputs(parameters: Record, sensor: SensorModel) -> frozenset[str]:
+    """Returns the names of the sensor's outputs that an estimate uses, without outputs that may keep one value, such as
+    thermometers. If the parameters name none, the estimate uses all outputs."""
+    outputs = [one.name for one in sensor.outputs if varies(one)]
+    named = channels_of(parameters)
+    return frozenset(name for name in outputs if name in named) or frozenset(outputs)
+
+
+def _relevant(
+    segments: Sequence[RecordedSegment], used: Collection[str], sensor: SensorModel
+) -> tuple[RecordedSegment, ...]:
+    """Returns the segments without the findings about outputs of the sensor that the estimate does not use, either as outputs or
+    because they show the motion of a segment."""
+    motions = [one.segment.motion for one in segments]
+    shown = {name for motion in motions if isinstance(motion, RecordedMotion) for name in motion.channels}
+    others = {one.name for one in sensor.outputs if varies(one)} - set(used) - shown
+    return tuple(
+        one
+        if one.finds is None
+        else replace(one, finds=tuple(find for find in one.finds if find.channel not in others))
+        for one in segments
+    )
 
 
 _RESTS_ON = {

@@ -5,12 +5,19 @@ The recordings come from `tests.worlds`, which shares no code with planrunner.
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from recorded import from_samples, segment, sensor
 
+from planrunner.estimators.analysis import analyse
 from planrunner.estimators.interface import Estimate
+from planrunner.estimators.scale_factor import ScaleFactorParameters
+from planrunner.physics.earth import Site
+from planrunner.plan.model import EstimateSpec
+from planrunner.plan.schedule import Spin
 from tests.worlds.campaigns import CAMPAIGNS
 from tests.worlds.coverage import estimated, known, recorded
 from tests.worlds.faults import WORLDS
@@ -80,3 +87,26 @@ def test_a_stuck_second_of_all_channels_is_named_and_moves_nothing_or_is_said_to
         moved = [abs(stuck[one.name].value - one.value) / one.standard_uncertainty for one in clean.coefficients]
         left_out, left_in = (any(words in text for text in stuck.warnings) for words in ("left out", "without leaving"))
         assert left_in or (left_out and max(moved) <= 0.1)
+
+
+def test_bad_samples_of_other_outputs_do_not_concern_an_estimate() -> None:
+    """Two gyros in one recording, an estimate for each. A spike of the one is no reason to refuse the other."""
+    draw = np.random.default_rng(21)
+    recording = []
+    for number, rate in enumerate((10.0, -10.0, 40.0, -40.0, 80.0, -80.0)):
+        time = 40.0 * number + np.arange(3000) / 100
+        values = {name: 200.0 * rate + 3.0 + 0.5 * draw.standard_normal(3000) for name in ("first", "second")}
+        if number == 2:
+            values["second"][1500] += 500.0
+        planned = segment(f"R{number}", np.eye(3), Spin(math.radians(rate), (0.0, 0.0, 1.0)), 30.0)
+        recording.append(from_samples(planned, time, values, dict.fromkeys(values, "pulse/s")))
+    estimates = {
+        name: EstimateSpec(
+            estimator="scale_factor", outliers="refuse", parameters=ScaleFactorParameters(outputs=(name,))
+        )
+        for name in ("first", "second")
+    }
+    results = analyse(estimates, (), recording, Site(math.radians(47.0)), sensor("first", "second"))
+    assert list(results.estimates) == ["first"]
+    assert "spike of second" in results.failures["second"]
+    assert not [text for text in results.estimates["first"].warnings if "second" in text]
