@@ -171,6 +171,7 @@ def _estimate(
     rounded = coarse_counts(counted, used, sensor)
     further = (
         *rounded,
+        *equal_outputs(counted, used),
         *transient_words(counted, used, sensor),
         *lost_samples(chosen, sensor.sample_rate),
         *thermometer_words(chosen, spec.parameters),
@@ -360,6 +361,34 @@ _METERED = (DIMENSIONS["voltage"], DIMENSIONS["pressure"])
 _FEWEST = 2
 """Smallest number of different values from which a count is found. Two values are enough, because an output that rarely leaves one
 value has a coarse count."""
+
+
+def equal_outputs(segments: Sequence[RecordedSegment], outputs: Collection[str]) -> tuple[Said, ...]:
+    """Warns of each pair of the given outputs that have the same samples in all segments: equal ranges, and a correlation of 1. Two
+    sensors never have the same noise."""
+    shown = [one for one in segments if one.statistics.count > 1 and not (one.summary or one.expected)]
+    names = [name for name in sorted(outputs) if shown and all(name in one.units for one in shown)]
+    names = [name for name in names if any(_changes(one, name) for one in shown)]
+    return tuple(
+        said(
+            "{first} and {second} have the same samples in every segment, so at least one of the two is not a measurement: a "
+            "column of the recording is probably used or copied twice. Check the channels in the bench file and the recording.",
+            first=first,
+            second=second,
+        )
+        for k, first in enumerate(names)
+        for second in names[k + 1 :]
+        if all(_equal(one, first, second) for one in shown)
+    )
+
+
+def _equal(recorded: RecordedSegment, first: str, second: str) -> bool:
+    """Returns True if two outputs have the same samples in a segment."""
+    known = recorded.statistics
+    a, b = known.of(first), known.of(second)
+    same = known.minimum[a] == known.minimum[b] and known.maximum[a] == known.maximum[b]
+    scatter = known.covariance[a, a]
+    return bool(same and abs(known.covariance[a, b] - scatter) <= 1e-9 * scatter)
 
 
 GAP_INTERVALS = 5.5

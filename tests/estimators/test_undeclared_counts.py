@@ -160,3 +160,21 @@ def test_values_that_differ_by_floating_point_rounding_are_equal() -> None:
         recording.append(from_samples(one.segment, time, {"gyro_z": values}, {"gyro_z": "pulse/s"}))
     [text] = coarse(scale_factor(recording))
     assert "within each segment, all samples are equal" in text
+
+
+@pytest.mark.parametrize("copied", [True, False])
+def test_two_outputs_with_the_same_samples_are_named(copied: bool) -> None:
+    """A recording in which the column of one gyro was written twice."""
+    recording = []
+    for one, other in zip(on_a_table(18, 0.0), on_a_table(19, 0.0), strict=True):
+        read = [
+            np.concatenate([block.channels["gyro_z"] for block in each.blocks(("gyro_z",))]) for each in (one, other)
+        ]
+        time = np.concatenate([block.time for block in one.blocks(("gyro_z",))])
+        channels = {"gyro_y": read[0] if copied else read[1], "gyro_z": read[0]}
+        recording.append(from_samples(one.segment, time, channels, dict.fromkeys(channels, "pulse/s")))
+    parameters = ScaleFactorParameters(outputs=("gyro_y", "gyro_z"))
+    spec = {"k": EstimateSpec(estimator="scale_factor", segments=("R*",), parameters=parameters)}
+    results = analyse(spec, (), recording, SITE, sensor("gyro_y", "gyro_z"))
+    said = [text for text in results.estimates["k"].warnings if "gyro_y and gyro_z have the same samples" in text]
+    assert len(said) == copied
