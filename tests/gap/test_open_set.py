@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from planrunner.error_model.effects.gyro import GyroScaleAsymmetry
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import PERIODIC, Kinds, competitors, something_else
+from planrunner.gap.hypotheses.open_set import PERIODIC, Kinds, _within, competitors, something_else
 from planrunner.gap.hypotheses.outside import BURSTS
 from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Sort
 from planrunner.plan.schedule import Spin
@@ -160,3 +161,17 @@ def test_only_what_is_not_small_beside_something_unknown_is_named(per_force: flo
     best = next(iter(found.posterior.probability))
     assert "unknown" in best.split("+")
     assert len(best.split("+")) == 1 + effects
+
+
+def test_waves_in_segments_of_different_durations_take_little_memory() -> None:
+    """For each of 100 durations, five coefficients of 500 waves, 16 bytes each: 4 MB. At the 24 points of every segment, it would be
+    19 MB."""
+    durations, pulses = np.linspace(10.0, 20.0, 100), np.linspace(0.01, 1.0, 500)
+    tracemalloc.start()
+    found = _within(durations, pulses, 5)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 3 * found.nbytes
+    times = (np.arange(4000) + 0.5) / 4000
+    mean = np.exp(1j * np.outer(pulses, durations[7] * times)).mean(axis=1)
+    np.testing.assert_allclose(found[7, 0], mean, atol=2e-2)

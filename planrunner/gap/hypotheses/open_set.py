@@ -350,5 +350,7 @@ def _within(lasting_: Array, pulses: Array, orders: int) -> Array:
         * np.where(np.arange(orders) == 0, 1.0, np.sqrt(2.0))[:, None]
     )
     spans, which = np.unique(lasting_, return_inverse=True)
-    waves_ = np.exp(1j * (spans[:, None, None] * middles[:, None] * pulses))
-    return np.asarray((cosines / NODES @ waves_)[which])
+    found = np.empty((len(spans), orders, len(pulses)), dtype=complex)
+    for index, span in enumerate(spans):  # one after the other: the values at all points need much memory
+        found[index] = cosines / NODES @ np.exp(1j * (span * middles[:, None] * pulses))
+    return found[which]
