@@ -157,6 +157,7 @@ def _diagnosed(recorded: Recorded, options: DiagnosisOptions | None, given: Sequ
         raise _unfit(recorded, error) from None
     _name_outliers(recorded, found, findings)
     _compare_with_specification(recorded, found, findings)
+    _compare_temperature_with_time(recorded, observed, found, findings)
     following = None if wrong else _following(recorded, found, findings)
     return Diagnosed(recorded, found, findings, following, wrong, stated)
 
@@ -255,6 +256,39 @@ def _noise(found: Diagnosis) -> dict[Sense, float]:
         for kind, (sense, factor) in units.items()
         if len(seen.of_kind(kind))
     }
+
+
+def _compare_temperature_with_time(recorded: Recorded, observed: Observed, found: Diagnosis, log: Findings) -> None:
+    """Warns if a named effect depends on the temperature or on the time since power-on, and the temperature changed nearly in
+    proportion to time. The catalogue contains no steady drift in time. In such a recording, the fitted effect therefore contains
+    a steady drift of the bias, and the standard uncertainties of its parameters do not show this."""
+    import numpy as np
+
+    from planrunner.error_model.effects.interface import FollowsTemperature, ShapedOverSegments, effect_named
+    from planrunner.gap.answer.verdict import ALIKE
+    from planrunner.observation.drift import CHANGED
+
+    concerned = [
+        one
+        for one in dict.fromkeys(value.effect for value in found.parameters)
+        if isinstance(effect_named(one), FollowsTemperature | ShapedOverSegments)
+    ]
+    parts = observed.segments()
+    time, temperature = (
+        np.array([samples[part].mean() for part in parts]) for samples in (observed.time, observed.temperature)
+    )
+    if not concerned or len(parts) < 3 or np.ptp(temperature) < CHANGED or np.ptp(time) == 0:
+        return
+    r = float(np.corrcoef(time, temperature)[0, 1])
+    if r**2 <= ALIKE:
+        return
+    slope = float(np.polyfit(time, temperature, 1)[0]) * 3600
+    message = (
+        f"the temperature changed nearly in proportion to time (correlation {r:.3f}, {slope:.3g} K/h), so the recording cannot "
+        f"distinguish {' and '.join(concerned)} from a steady drift of the bias; the stated uncertainties do not contain such a drift"
+    )
+    hint = "record the same temperatures again in the opposite order, or repeat one temperature at another time"
+    log.warning("gap-temperature-or-time", Mark(recorded.where), message, hint)
 
 
 def diagnosed_again(made: Diagnosed, observed: Observed, options: DiagnosisOptions) -> Diagnosed:
