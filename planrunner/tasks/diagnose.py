@@ -266,7 +266,7 @@ def _compare_temperature_with_time(recorded: Recorded, observed: Observed, found
 
     from planrunner.error_model.effects.interface import FollowsTemperature, ShapedOverSegments, effect_named
     from planrunner.gap.answer.verdict import ALIKE
-    from planrunner.observation.drift import CHANGED
+    from planrunner.observation.surroundings import CHANGED
 
     concerned = [
         one
