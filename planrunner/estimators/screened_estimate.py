@@ -37,7 +37,7 @@ def estimated(
     bad = [(recorded, one) for recorded, one in found if one.bad]
     if bad and outliers == "refuse":
         raise UnfitDataError(
-            f"there are bad samples, and the plan refuses them: {_named(bad)}. Record the segments again, leave them out of `segments`, or "
+            f"there are bad samples, and the plan refuses them: {_in_words(bad)}. Record the segments again, leave them out of `segments`, or "
             "write `outliers: exclude`"
         )
     excluded = bool(bad) and outliers == "exclude"
@@ -47,7 +47,7 @@ def estimated(
     except EstimationError as error:
         if not excluded:
             raise
-        raise type(error)(f"{error} (without bad samples: {_named(bad)}; `outliers: keep` uses them)") from None
+        raise type(error)(f"{error} (without bad samples: {_in_words(bad)}; `outliers: keep` uses them)") from None
     warnings = list(made.warnings)
     tables = [*made.tables, _table(found, excluded)]
     if excluded:
@@ -148,6 +148,12 @@ def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Inserted:
         rows_of([one for other, one in found if other is each]) for each in {id(r): r for r, _ in found}.values()
     )
     return said("{finds} and {more} more detections, {rows} samples in total", finds=texts, more=more, rows=left)
+
+
+def _in_words(found: Sequence[tuple[RecordedSegment, Find]]) -> str:
+    """Returns the text of `_named` for a message that is not translated."""
+    named = _named(found)
+    return ", ".join(str(one) for one in named) if isinstance(named, tuple) else str(named)
 
 
 def _find(recorded: RecordedSegment, one: Find) -> Said:

@@ -108,5 +108,5 @@ def test_bad_samples_of_other_outputs_do_not_concern_an_estimate() -> None:
     }
     results = analyse(estimates, (), recording, Site(math.radians(47.0)), sensor("first", "second"))
     assert list(results.estimates) == ["first"]
-    assert "spike of second" in results.failures["second"]
+    assert "the plan refuses them: spike of second in 'R2' at 95 s (" in results.failures["second"]
     assert not [text for text in results.estimates["first"].warnings if "second" in text]
