@@ -37,8 +37,8 @@ def estimated(
     bad = [(recorded, one) for recorded, one in found if one.bad]
     if bad and outliers == "refuse":
         raise UnfitDataError(
-            f"there are bad samples, and the plan refuses them: {_in_words(bad)}. Record the segments again, leave them out of `segments`, or "
-            "write `outliers: exclude`"
+            f"there are bad samples, and the plan refuses them: {_in_words(bad)}. Record the segments again, leave them out "
+            "of `segments`, or write `outliers: exclude`"
         )
     excluded = bool(bad) and outliers == "exclude"
     used = tuple(without_bad(one) if excluded else one for one in segments)
