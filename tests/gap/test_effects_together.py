@@ -10,10 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom
 
+from planrunner.error_model.effects.interface import effect_named
 from planrunner.error_model.effects.table import TableAzimuth
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import predictions
 from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.answer.sets import sets_of
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import BENT, candidates_of
 from planrunner.plan.schedule import Rock
@@ -190,3 +192,23 @@ def test_intervals_beside_a_random_walk_contain_the_true_share() -> None:
         held += holds(found.closure, gap, difference)
     assert tries >= 6
     assert held >= binom.ppf(0.01, tries, 0.9)
+
+
+@pytest.mark.parametrize("flicker", [0.0, 0.5])
+def test_the_quick_evidence_of_pairs_agrees_with_the_full_evidence(flicker: float) -> None:
+    """Also if the declared flicker, in units of the white noise at 1 s, is too large, so that the declared noise is improbable."""
+
+    def asymmetry(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return 1.5e-4 * np.abs(omega), 0.0
+
+    observed = record(seed=64, fault=asymmetry)
+    channels = tuple(replace(channel, flicker=channel.white * flicker) for channel in observed.channels)
+    weighing = Weighing(replace(observed, channels=channels))
+    names = ("gyro_scale_asymmetry", "mount_shift", "table_tilt", "gyro_axis_delay", "gyro_scale_temperature")
+    candidates = candidates_of(weighing, [effect_named(name) for name in names])
+    sets = sets_of(weighing, candidates, lambda size: -4.0 * size, walks=False)
+    both = sets.quick.keys() & sets.full.keys()
+    assert len(both) >= 4
+    for key in both:
+        if "gyro_scale_asymmetry" in key:
+            assert sets.quick[key] == pytest.approx(sets.full[key].evidence, abs=0.5)

@@ -286,7 +286,9 @@ def _of_effects(
             found[key_of(present) or "none"] = value + density
     count = _acting(found)
     sets = sets_of(weighing, candidates, lambda size: _log_prior_of(size, count), len(walks) > 1, known)
-    found |= {key: value + noise.declared - start for key, value in sets.quick.items()}
+    for key, value in sets.quick.items():
+        for other, density in noise.states.items():
+            found[key_of([*key.split("+"), *other])] = value + density - start
     for key, one in sets.full.items():
         for value, walking in ((one.evidence, False), (one.walking, True)):
             for other, density in noise.states.items():

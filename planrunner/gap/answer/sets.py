@@ -104,9 +104,9 @@ class EffectSet:
 
 @dataclass(frozen=True)
 class Sets:
-    """Contains the evaluated sets of effects. `quick`: log evidence of each pair at the declared noise, from the quick evaluation,
-    which fixes the amplitudes of the first of the two effects at their most probable values. `full`: the sets evaluated in full, by
-    key."""
+    """Contains the evaluated sets of effects. `quick`: log evidence of each pair from the quick evaluation. This evaluation fixes the
+    amplitudes of the first of the two effects at their most probable values, at the most probable setting of the noise. `full`: the
+    sets evaluated in full, by key."""
 
     quick: dict[str, float]
     full: dict[str, EffectSet] = field(repr=False)
@@ -172,17 +172,17 @@ def _weighed_again(weighing: Weighing, members: Sequence[Member]) -> tuple[Membe
 
 def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
     """Evaluates all pairs that consist of a probable effect and any other effect. Returns two results: the log evidence of each
-    pair from a quick evaluation at the declared noise, and the full evaluation of the best pairs."""
+    pair from a quick evaluation, and the full evaluation of the best pairs."""
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
     quick: dict[str, tuple[float, tuple[Member, Member]]] = {}
     for first in map(Member.best, ranked):
-        for second, value in _given(first.form, [other for other in usable if other.id != first.id]):
-            value += float(first.form.log_bayes[0]) + first.cost + second.cost
+        at = weighing.likeliest_with(first.form.log_bayes, False)
+        for second, value in _given(weighing, first.form, [other for other in usable if other.id != first.id], at):
+            value += weighing.evidence(first.form.log_bayes) + first.cost + second.cost
             key = key_of([first.id, second.id])
             if key not in quick or value > quick[key][0]:
                 quick[key] = (value, (first, second))
-    declared = float(weighing.base[0] + weighing.log_prior[0][0])
-    found = {key: declared + value for key, (value, _) in quick.items()}
+    found = {key: value for key, (value, _) in quick.items()}
     chosen = sorted(quick, key=lambda key: -quick[key][0])[:WEIGHED]
     return found, [_evaluated(weighing, quick[key][1]) for key in chosen]
 
@@ -215,7 +215,8 @@ def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[C
     quick: dict[str, tuple[float, tuple[Member, ...]]] = {}
     for one in level:
         inside = {member.id for member in one.members}
-        for more, value in _given(one.weighed, [other for other in usable if other.id not in inside]):
+        at = weighing.likeliest_with(one.log_bayes, False)
+        for more, value in _given(weighing, one.weighed, [other for other in usable if other.id not in inside], at):
             value += one.evidence + more.cost
             key = key_of([*inside, more.id])
             if key not in quick or value > quick[key][0]:
@@ -342,20 +343,22 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
     return best
 
 
-def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, float]]:
+def _given(weighing: Weighing, a: Weighed, others: Sequence[Candidate], setting: int) -> Iterator[tuple[Member, float]]:
     """Assumes that the effect `a` acts with its most probable size. Under this condition, yields the best form of each of the other
-    effects, and the increase of the log Bayes factor by this form."""
+    effects, and the increase of the log Bayes factor by this form. `setting`: index of the setting of the noise."""
     if not others:
         return
-    mean, covariance = a.amplitudes
+    mean, covariance = a.amplitudes_at(setting)
     forms = [len(other.variants) for other in others]
     size = np.zeros((sum(forms), max((other.variants[0].gram.shape[1] for other in others), default=0)))
     along, last = np.zeros_like(size), 0
     fixed: dict[str, Array] = {}
     for other, count in zip(others, forms, strict=True):
-        cross = other.across(a)
-        grams = np.array([item.gram[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
-        scores = np.array([item.score[0] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ mean
+        cross = other.across(a) if setting == 0 else _across(weighing, other, a, setting)
+        grams = (
+            np.array([item.gram[setting] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
+        )
+        scores = np.array([item.score[setting] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ mean
         values, vectors = np.linalg.eigh(grams)
         # the energies of each variant are divided by its trace
         traces = np.array([item.trace for item in other.variants])[:, None]
@@ -369,3 +372,13 @@ def _given(a: Weighed, others: Sequence[Candidate]) -> Iterator[tuple[Member, fl
         values = fixed.get(other.id, values)
         best = int(np.argmax(values))
         yield Member(other, other.variants[best], other.shape_cost), float(values[best])
+
+
+def _across(weighing: Weighing, other: Candidate, a: Weighed, setting: int) -> Array:
+    """Returns the inner products of `Candidate.across`, shape (V, q, p), at any setting of the noise."""
+    own = [columns for _, columns in weighing.whitened_at(a, setting)]
+    found = []
+    for item in other.variants:
+        its = [columns for _, columns in weighing.whitened_at(item, setting)]
+        found.append(np.sum([x.T @ y for x, y in zip(own, its, strict=True)], axis=0))
+    return np.array(found)
