@@ -131,7 +131,8 @@ def sets_of(
     """
     refit = known is None
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
-    quick, level = _pairs(weighing, usable)
+    products = _Products(weighing)
+    quick, level = _pairs(weighing, usable, products)
     best = max((weighing.evidence(c.log_bayes) for c in usable), default=-np.inf) + prior(1)
     if refit and level and max(one.evidence for one in level) + prior(2) > best + BENT:
         level += _with_output(weighing, usable, max(one.evidence for one in level))
@@ -152,7 +153,7 @@ def sets_of(
         best = max(best, likely[0].evidence + prior(count))
         if count == MOST:
             break
-        level = _extended(weighing, likely, usable)
+        level = _extended(weighing, likely, usable, products)
         full |= {one.key: one for one in level}
     for key, one in (known or {}).items():
         if one.on_others is not None:
@@ -170,14 +171,16 @@ def _weighed_again(weighing: Weighing, members: Sequence[Member]) -> tuple[Membe
     return tuple(found)
 
 
-def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
+def _pairs(
+    weighing: Weighing, usable: Sequence[Candidate], products: _Products
+) -> tuple[dict[str, float], list[EffectSet]]:
     """Evaluates all pairs that consist of a probable effect and any other effect. Returns two results: the log evidence of each
     pair from a quick evaluation, and the full evaluation of the best pairs."""
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
     quick: dict[str, tuple[float, tuple[Member, Member]]] = {}
     for first in map(Member.best, ranked):
         at = weighing.likeliest_with(first.form.log_bayes, False)
-        for second, value in _given(weighing, first.form, [other for other in usable if other.id != first.id], at):
+        for second, value in _given(products, first.form, [other for other in usable if other.id != first.id], at):
             value += weighing.evidence(first.form.log_bayes) + first.cost + second.cost
             key = key_of([first.id, second.id])
             if key not in quick or value > quick[key][0]:
@@ -210,13 +213,15 @@ def _with_output(weighing: Weighing, usable: Sequence[Candidate], least: float) 
     return [one for one in each if one.evidence > least]
 
 
-def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[Candidate]) -> list[EffectSet]:
+def _extended(
+    weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[Candidate], products: _Products
+) -> list[EffectSet]:
     """Adds one effect to each of the most probable sets, and evaluates the best of the larger sets in full."""
     quick: dict[str, tuple[float, tuple[Member, ...]]] = {}
     for one in level:
         inside = {member.id for member in one.members}
         at = weighing.likeliest_with(one.log_bayes, False)
-        for more, value in _given(weighing, one.weighed, [other for other in usable if other.id not in inside], at):
+        for more, value in _given(products, one.weighed, [other for other in usable if other.id not in inside], at):
             value += one.evidence + more.cost
             key = key_of([*inside, more.id])
             if key not in quick or value > quick[key][0]:
@@ -343,7 +348,9 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
     return best
 
 
-def _given(weighing: Weighing, a: Weighed, others: Sequence[Candidate], setting: int) -> Iterator[tuple[Member, float]]:
+def _given(
+    products: _Products, a: Weighed, others: Sequence[Candidate], setting: int
+) -> Iterator[tuple[Member, float]]:
     """Assumes that the effect `a` acts with its most probable size. Under this condition, yields the best form of each of the other
     effects, and the increase of the log Bayes factor by this form. `setting`: index of the setting of the noise."""
     if not others:
@@ -354,7 +361,7 @@ def _given(weighing: Weighing, a: Weighed, others: Sequence[Candidate], setting:
     along, last = np.zeros_like(size), 0
     fixed: dict[str, Array] = {}
     for other, count in zip(others, forms, strict=True):
-        cross = other.across(a) if setting == 0 else _across(weighing, other, a, setting)
+        cross = products.across(a, other, setting)
         grams = (
             np.array([item.gram[setting] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
         )
@@ -374,11 +381,20 @@ def _given(weighing: Weighing, a: Weighed, others: Sequence[Candidate], setting:
         yield Member(other, other.variants[best], other.shape_cost), float(values[best])
 
 
-def _across(weighing: Weighing, other: Candidate, a: Weighed, setting: int) -> Array:
-    """Returns the inner products of `Candidate.across`, shape (V, q, p), at any setting of the noise."""
-    own = [columns for _, columns in weighing.whitened_at(a, setting)]
-    found = []
-    for item in other.variants:
-        its = [columns for _, columns in weighing.whitened_at(item, setting)]
-        found.append(np.sum([x.T @ y for x, y in zip(own, its, strict=True)], axis=0))
-    return np.array(found)
+class _Products:
+    """Computes inner products of the columns of effects at several settings of the noise. Keeps the whitened columns of all effects
+    at the settings that were used."""
+
+    def __init__(self, weighing: Weighing):
+        self.weighing = weighing
+        self._known: dict[tuple[str, int], dict[int, Array]] = {}
+
+    def across(self, a: Weighed, other: Candidate, setting: int) -> Array:
+        """Returns the inner products of the q columns of the effect `a` with the p columns of each of the V variants of another effect,
+        shape (V, q, p)."""
+        if (other.id, setting) not in self._known:
+            self._known[other.id, setting] = other.stacked_at(self.weighing, setting)
+        stacked = self._known[other.id, setting]
+        own = self.weighing.whitened_at(a, setting)
+        products = np.sum([own[channel][1].T @ y for channel, y in stacked.items()], axis=0)
+        return np.asarray(np.swapaxes(products.reshape(len(products), len(other.variants), -1), 0, 1))

@@ -173,17 +173,26 @@ class Candidate:
         return max(self.variants, key=lambda weighed: float(weighed.log_bayes[self.at]))
 
     @cached_property
-    def stacked(self) -> dict[int, Array]:
-        """Returns the whitened, projected columns of all V variants side by side: for each channel on which the effect acts, an
-        array (M, V·p)."""
-        acting = {channel for item in self.variants for column in item.variant.columns for channel in column.parts}
-        return {channel: np.hstack([item.by_channel[channel] for item in self.variants]) for channel in sorted(acting)}
+    def acting(self) -> list[int]:
+        """Returns the indices of the channels on which the effect acts."""
+        return sorted({c for item in self.variants for column in item.variant.columns for c in column.parts})
 
-    def across(self, other: Weighed) -> Array:
-        """Returns the inner products of the q columns of another variant with the p columns of each of the V variants, at the first
-        setting of the noise, shape (V, q, p)."""
-        products = np.sum([other.by_channel[channel].T @ y for channel, y in self.stacked.items()], axis=0)
-        return np.asarray(np.swapaxes(products.reshape(len(products), len(self.variants), -1), 0, 1))
+    @cached_property
+    def stacked(self) -> dict[int, Array]:
+        """Returns the whitened, projected columns of all V variants side by side, at the first setting of the noise: for each channel
+        on which the effect acts, an array (M, V·p)."""
+        return {channel: np.hstack([item.by_channel[channel] for item in self.variants]) for channel in self.acting}
+
+    def stacked_at(self, weighing: Weighing, setting: int) -> dict[int, Array]:
+        """Returns the same as `stacked`, at any setting of the noise."""
+        if setting == 0:
+            return self.stacked
+        return {
+            channel: weighing.weights_at(setting, channel).project(
+                np.hstack([item.raw[channel] for item in self.variants])
+            )
+            for channel in self.acting
+        }
 
     @property
     def shape_cost(self) -> float:

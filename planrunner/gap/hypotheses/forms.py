@@ -514,6 +514,7 @@ def _parabola(place: Array, evidence: Array, top: int) -> tuple[float, float]:
     return float(place[top] + np.clip(-slope / (2 * bend), -reach, reach)), float(1 / np.sqrt(-2 * bend))
 
 
+_LOST = 1e6  # times the smallest misfit, at and above which a fit returns to the parameters of the smallest misfit
 _FITS = 12  # number of Gauss–Newton iterations
 _ROUNDING = 1e-6
 """If the output changes by less than this fraction of a change of the nominal output, it counts as constant. Smaller changes are
@@ -594,6 +595,9 @@ def settled(
             taken = [raw.sum(axis=1) * amplitude for raw in caused]
             now = [*zip(weighing.misfits(found, taken), found, strict=True)]
             best = [min(pair, key=lambda one: one[0]) for pair in zip(best, now, strict=True)]
+            if not all(misfit <= _LOST * least for (misfit, _), (least, _) in zip(now, best, strict=True)):
+                found = [own for _, own in best]
+                continue
             fixed = [part - own @ at for part, own, at in zip(taken, change, found, strict=True)]
             before, found = found, weighing.nominal_values(fixed, change)
             moved = [
