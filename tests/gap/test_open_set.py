@@ -11,8 +11,9 @@ import pytest
 from planrunner.error_model.effects.gyro import GyroScaleAsymmetry
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import PERIODIC, Kinds, _within, competitors, something_else
+from planrunner.gap.hypotheses.open_set import PERIODIC, Kinds, Repeating, _within, competitors, something_else
 from planrunner.gap.hypotheses.outside import BURSTS
 from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Sort
 from planrunner.plan.schedule import Spin
@@ -175,3 +176,18 @@ def test_waves_in_segments_of_different_durations_take_little_memory() -> None:
     times = (np.arange(4000) + 0.5) / 4000
     mean = np.exp(1j * np.outer(pulses, durations[7] * times)).mean(axis=1)
     np.testing.assert_allclose(found[7, 0], mean, atol=2e-2)
+
+
+def test_waves_are_whitened_in_parts() -> None:
+    """Waves of eight times as many periods as usual. The covariance of a random walk correlates their coefficients."""
+    weighing = Weighing(record(seed=1))
+    repeating, left = Repeating(weighing), Left.whole(weighing.weights[0][-1])
+    waves = np.tile(repeating.waves(repeating.frequencies, 4), (1, 8, 1, 1))
+    tracemalloc.start()
+    in_parts = repeating._eigen(left, waves, (2, 8))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 2 * waves.nbytes
+    for found, expected in zip(in_parts, repeating._of_part(left, waves, (2, 8)), strict=True):
+        np.testing.assert_allclose(found[0], expected[0], rtol=1e-6, atol=1e-9 * expected[0].max())
+        np.testing.assert_allclose(found[1].sum(1), expected[1].sum(1), rtol=1e-6)

@@ -31,6 +31,7 @@ from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets
 PERIODIC = Pattern("offset periodic in time", Sort.SEVERAL, Factor.TIME)
 ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
 WAVEFORM = 4  # harmonics of a smooth waveform
+_AT_ONCE = 1 << 18  # number of complex coefficients of waves that are whitened at once: 4 MB
 EDGED = 16  # harmonics of a waveform with edges
 MOST = 400  # largest number of periods of a bias that are tried
 CYCLES = 2  # number of cycles in a segment at the shortest period
@@ -317,7 +318,17 @@ class Repeating:
 
     def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
         """Returns one item for each number n in `counts`: the eigenvalues (F, n) and the squared scores (F, n) of the first n
-        columns at each of F frequencies. `waves`: the columns that `waves` returns."""
+        columns at each of F frequencies. `waves`: the columns that `waves` returns. They are whitened in parts, because whitening needs
+        several times the memory of its columns."""
+        parts = np.array_split(waves, -(-waves[:, :, :, 0].size // _AT_ONCE), axis=1)
+        each = [self._of_part(left, part, counts) for part in parts]
+        return [
+            (np.concatenate([a for a, _ in one]), np.concatenate([b for _, b in one]))
+            for one in zip(*each, strict=True)
+        ]
+
+    def _of_part(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
+        """Does the same as `_eigen`, with all waves at once."""
         periods = waves.shape[1]
         at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
         size = whitened.shape[1] // periods
