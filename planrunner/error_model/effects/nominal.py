@@ -56,7 +56,8 @@ def towards_others(
             if observed.along is None:
                 columns.append(replace(column, along=other if inputs else None, smallest=-largest, largest=largest))
             elif own < other:
-                columns.append(replace(column, name=f"gamma_{'xyz'[own]}{'xyz'[other]}", axis=None))
+                name = f"gamma_{'xyz'[own]}{'xyz'[other]}"  # the cosine of the angle between the two input axes
+                columns.append(replace(column, name=name, axis=None, smallest=-largest, largest=largest))
     return columns
 
 
