@@ -82,14 +82,6 @@ class NoiseWithin:
         """Returns the lowest frequency [Hz] at which the spectrum was measured."""
         return float(self.frequency[0])
 
-    @property
-    def inefficiency(self) -> Array:
-        """Returns, for each channel, the number of samples divided by the degrees of freedom of a sum of their squares, shape (K,).
-        Coloured noise makes this factor larger than 1."""
-        return np.asarray(
-            (self.weight @ self.spectrum**2 * self.weight.sum() / (self.weight @ self.spectrum) ** 2).max(0)
-        )
-
     def of_coefficients(self, observed: Observed, spectrum: Spectrum) -> list[Blocks]:
         """Returns, for each channel, the covariances between the coefficients of the same segment.
 
@@ -178,10 +170,27 @@ class NoiseWithin:
         K)."""
         return np.asarray(self.level[segment] * self._relative(segment, frequency))
 
-    def of_kind(self, kind: int, frequency: float) -> Array:
-        """Returns the spectrum (K,) at rest (kind 0) or in motion (kind 1) at a frequency [Hz], without the levels of segments."""
-        place = np.log(max(frequency, self.lowest))
-        return np.exp([np.interp(place, np.log(self.frequency), one) for one in np.log(self.spectrum[kind]).T])
+    def of_kind(self, kind: int, frequency: Array | float) -> Array:
+        """Returns the spectrum at rest (kind 0) or in motion (kind 1) at one frequency, shape (K,), or at several frequencies (n,),
+        shape (n, K), in Hz. The result does not contain the levels of segments."""
+        place = np.log(np.maximum(frequency, self.lowest))
+        logs = [np.interp(place, np.log(self.frequency), one) for one in np.log(self.spectrum[kind]).T]
+        return np.asarray(np.exp(np.stack(logs, axis=-1)))
+
+    def whitened(self, segment: int, samples: Array, half: float) -> Array:
+        """Returns the samples (n, K) of a segment with the same variance at all frequencies. Each coefficient of the cosine
+        transform is divided by the square root of the spectrum of all segments with the same kind of motion. The bands of the
+        segment itself are not used, because a burst raises them. `half`: half of the sampling rate of the samples, Hz."""
+        from scipy.fft import dct, idct
+
+        kind = int(self.moving[segment])
+        channels = np.flatnonzero(self.coloured[kind])
+        found = samples.copy()
+        if len(channels):
+            frequency = np.arange(len(samples)) * half / len(samples)
+            root = np.sqrt(self.of_kind(kind, frequency)[:, channels])
+            found[:, channels] = idct(dct(samples[:, channels], norm="ortho", axis=0) / root, norm="ortho", axis=0)
+        return found
 
     def _relative(self, segment: int, frequency: Array) -> Array:
         """Returns the spectrum of a segment, without its level, at frequencies (n,) [Hz], shape (n, K). The spectrum is constant

@@ -287,30 +287,52 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, 
     """Computes two log Bayes factors for the channels of each scope, each of shape (scopes,). The first is for bursts in any number
     of windows, the second for a single burst of at most 4 s. Both are −∞ if the recording is too short for windows."""
     observed, found = weighing.observed, []
-    remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder)
-    remainder /= (weighing.white * np.sqrt(weighing.noise.level))[observed.owner]
-    sums = _summed(remainder), _summed(np.square(remainder, out=remainder))
+    sums = _Sums.of(weighing)
     within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
-    inefficiency = np.maximum(weighing.noise.inefficiency, _of_short_windows(weighing, sums, within))
+    overdispersion = np.maximum(_of_short_windows(weighing, sums, within), 1.0)
     for length in LENGTHS:
         size = round(length * observed.sample_rate / float(observed.bin_size.max()))
         for begin in (0, size // 2):
             windows = _windows(weighing, within, size, begin) if size >= FEWEST else None
             if windows is not None:
                 most = round(max(LENGTHS) / length)
-                found.append(_evidence(sums, windows, size, scopes, inefficiency, most))
+                found.append(_evidence(sums, windows, size, scopes, overdispersion, most))
     several, single = log_mean_exp(np.array(found), 0).T if found else np.full((2, len(scopes)), -np.inf)
     return np.asarray(several), np.asarray(single)
 
 
-def _of_short_windows(weighing: Weighing, both: tuple[Array, Array], within: Mapping[int, Array]) -> Array:
+@dataclass(frozen=True)
+class _Sums:
+    """Contains cumulative sums over the samples of a run, in units of the noise, each of shape (N + 1, K). `samples`: sums of the
+    samples. `white`, `squares`: sums of the whitened samples (`NoiseWithin.whitened`), and of their squares. Energies of whitened
+    samples have the same distribution as energies of white noise, so correlated noise does not look like bursts."""
+
+    samples: Array
+    white: Array
+    squares: Array
+
+    @classmethod
+    def of(cls, weighing: Weighing) -> _Sums:
+        observed, noise = weighing.observed, weighing.noise
+        remainder = np.where(weighing.coarse, 0.0, weighing.spectrum.remainder)
+        remainder /= (weighing.white * np.sqrt(noise.level))[observed.owner]
+        samples = white = _summed(remainder)
+        if noise.coloured.any():
+            for index, part in enumerate(observed.segments()):
+                half = observed.sample_rate / int(observed.bin_size[index]) / 2
+                remainder[part] = noise.whitened(index, remainder[part], half)
+            white = _summed(remainder)
+        return cls(samples, white, _summed(np.square(remainder, out=remainder)))
+
+
+def _of_short_windows(weighing: Weighing, sums: _Sums, within: Mapping[int, Array]) -> Array:
     """Returns the overdispersion (K,) of the energies of the shortest windows. Noise with many small values and a few large ones
     has a large overdispersion. The short windows are numerous, so they show the overdispersion more precisely than longer windows.
-    `both`: the same as in `_evidence`. `within`: the same as in `_windows`."""
+    `within`: the same as in `_windows`."""
     windows = _windows(weighing, within, FEWEST, 0)
     if windows is None:
         return np.ones(len(weighing.white))
-    return _overdispersion(_normalised(both, windows, FEWEST)[1], FEWEST - 1.0)
+    return _overdispersion(_normalised(sums, windows, FEWEST)[1], FEWEST - 1.0)
 
 
 def _summed(values: Array) -> Array:
@@ -347,22 +369,21 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
 
 
 def _evidence(
-    both: tuple[Array, Array],
+    sums: _Sums,
     windows: _Windows,
     size: int,
     scopes: Sequence[Sequence[int]],
-    inefficiency: Array,
+    overdispersion: Array,
     most: int,
 ) -> Array:
     """Returns two log Bayes factors for each scope, shape (scopes, 2): the first for bursts in any number of windows, the second
-    for a single burst in at most `most` windows. All windows have the same size. `both`: cumulative sums of the samples in units of
-    the noise, and cumulative sums of the squares of these samples. `inefficiency`: array of shape (K,), factor by which coloured
-    noise reduces the degrees of freedom of a sum of squares."""
-    mean, rest = _normalised(both, windows, size)
+    for a single burst in at most `most` windows. All windows have the same size. `overdispersion`: array of shape (K,), lower limit
+    of the overdispersion (`_overdispersion`) of the scatter."""
+    mean, rest = _normalised(sums, windows, size)
     offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
     offset[~windows.clear] = 0.0
     noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1))
-    noisier /= np.maximum(inefficiency, _overdispersion(rest, size - 1.0))[:, None]
+    noisier /= np.maximum(overdispersion, _overdispersion(rest, size - 1.0))[:, None]
     found = np.empty((len(scopes), 3, 2))
     for row, scope in enumerate(scopes):
         forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
@@ -370,15 +391,15 @@ def _evidence(
     return log_mean_exp(found, 1)
 
 
-def _normalised(both: tuple[Array, Array], windows: _Windows, size: int) -> tuple[Array, Array]:
+def _normalised(sums: _Sums, windows: _Windows, size: int) -> tuple[Array, Array]:
     """Returns the energies of the mean and of the remaining scatter of each window, each of shape (W, K). The energies are divided
     by the median energy of the windows in segments of equal length, if this median exceeds the median for white noise. In windows
-    in which a constant bias would not be visible (`_Windows.clear`), the energy of the mean is not used. `both`: the same as in
-    `_evidence`. `size`: number of samples of a window."""
-    sums, squares = both
+    in which a constant bias would not be visible (`_Windows.clear`), the energy of the mean is not used. `size`: number of samples
+    of a window."""
     first, last = windows.starts, windows.starts + size
-    mean = (sums[last] - sums[first]) ** 2 / size
-    rest = np.maximum(squares[last] - squares[first] - mean, 0.0)
+    mean = (sums.samples[last] - sums.samples[first]) ** 2 / size
+    white = (sums.white[last] - sums.white[first]) ** 2 / size
+    rest = np.maximum(sums.squares[last] - sums.squares[first] - white, 0.0)
     mean /= np.where(windows.clear, windows.kept, 1.0)[:, None]
     for lasting in np.unique(windows.lasting):
         alike = windows.lasting == lasting
