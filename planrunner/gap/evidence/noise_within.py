@@ -48,6 +48,7 @@ level at rest. This limit is necessary because a limited or stuck output has lit
 other outputs."""
 _LEAST_SEEN = 1e-6
 """Fraction of the energy of a vector of the basis that the remaining samples must show, so that they determine its coefficient."""
+_IN_LOBE = 32  # number of frequencies at which the noise of a segment mean is evaluated
 _SMALLEST = 1e-6  # smallest level relative to the white noise, for example of an output that stays at one count
 
 
@@ -158,12 +159,22 @@ class NoiseWithin:
         seen = self._of_kind(self.spectrum, kind, segment, basis.frequency[periodic])
         found[:, periodic, periodic] = np.maximum(found[:, periodic, periodic], seen.T)
         at_rest = self.coloured[0] & (self.moving == 0).any()
+        found[:, 0, 0] = np.maximum(found[:, 0, 0], self._of_mean(kind, segment, count / (2 * half)))
         harmonics = np.flatnonzero(basis.harmonic > 0)
         if kind and at_rest.any() and len(harmonics):
             more = np.maximum(self._of_kind(self.density, 0, segment, frequency) - density, 0.0) * at_rest
             found[:, harmonics, harmonics] += (np.abs(waves[:, harmonics]) ** 2).T.dot(more).T
         found[:, harmonics, harmonics] = np.maximum(found[:, harmonics, harmonics], peaks[harmonics].T)
         return found
+
+    def _of_mean(self, kind: int, segment: int, lasting: float) -> Array:
+        """Returns the variance (K,) of the mean of a segment that lasts `lasting` seconds, relative to the level of the segment, from
+        the noise at frequencies up to 1/`lasting`. The mean of a short segment contains noise of several bands. The lowest band
+        alone is measured less precisely, because only the longest segments contribute to it. `kind`, `segment`: the same as in
+        `_of_kind`."""
+        turns = (np.arange(_IN_LOBE) + 0.5) / _IN_LOBE
+        weight = np.sinc(turns) ** 2
+        return np.asarray(weight @ self._of_kind(self.spectrum, kind, segment, turns / lasting) / weight.sum())
 
     def of_segment(self, segment: int, frequency: Array) -> Array:
         """Returns the variance of the noise of a segment at the frequencies (n,) [Hz], relative to the white level, shape (n,
