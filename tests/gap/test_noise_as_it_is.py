@@ -15,7 +15,7 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import competitors
-from planrunner.gap.hypotheses.outside import BURSTS, PLAIN, TONE, _of_short_windows, _summed, outside
+from planrunner.gap.hypotheses.outside import BURSTS, PLAIN, TONE, _of_short_windows, _summed, _Sums, outside
 from planrunner.gap.hypotheses.patterns import WHOLE, Sort
 from planrunner.plan.schedule import Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Array, Fault, G, record
@@ -238,10 +238,8 @@ def test_noise_with_many_small_values_holds_no_bursts() -> None:
     spread, evidence = {}, []
     for noise in (white(1.0), mixed):
         weighing = Weighing(noisy(noise, None, 6))
-        remainder = weighing.spectrum.remainder / weighing.white
-        sums = _summed(remainder), _summed(remainder**2)
         within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
-        spread[noise] = _of_short_windows(weighing, sums, within)
+        spread[noise] = _of_short_windows(weighing, _Sums.of(weighing), within)
         evidence.append(float(outside(weighing).log_bayes[BURSTS].max()))
     normal, heavy = spread.values()
     assert 0.7 < normal.min() <= normal.max() < 1.3
