@@ -10,6 +10,7 @@ from itertools import product
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
@@ -244,4 +245,16 @@ def test_noise_with_many_small_values_holds_no_bursts() -> None:
     normal, heavy = spread.values()
     assert 0.7 < normal.min() <= normal.max() < 1.3
     assert heavy.min() > 1.8  # (kurtosis − 1)/2 = 4.4 for the variance; less for the median deviation
+    assert max(evidence) < 3
+
+
+@pytest.mark.parametrize("response", [(1.0, 0.7, 0.4), (1.0, 1.0)])
+def test_smoothed_noise_holds_no_bursts(response: tuple[float, ...]) -> None:
+    """Successive samples of such noise are alike, so the energies of its windows scatter more than those of white noise."""
+
+    def smoothed(observed: Observed, draw: np.random.Generator) -> Array:
+        samples = draw.standard_normal(observed.values.shape)
+        return np.asarray(lfilter(np.array(response) / np.linalg.norm(response), [1.0], samples, axis=0))
+
+    evidence = [float(outside(Weighing(noisy(smoothed, None, seed))).log_bayes[BURSTS].max()) for seed in range(20, 24)]
     assert max(evidence) < 3

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
@@ -114,3 +116,17 @@ def test_a_variance_is_moderated_by_those_of_the_other_segments() -> None:
         high = energy > np.quantile(energy, 0.9)
         assert np.mean(further / stated) == pytest.approx(1.0, abs=0.08)
         assert np.mean(further[high]) / np.mean(stated[high]) == pytest.approx(1.0, abs=0.25)
+
+
+def test_the_mean_of_a_short_segment_contains_the_noise_of_several_bands() -> None:
+    """Long segments have measured a hundredth of the noise in a band far below 1/T of the short ones: white noise but for this band."""
+    weighing = Weighing(noisy(lambda observed, draw: draw.standard_normal(observed.values.shape)))
+    measured = weighing.noise
+    frequency = np.concatenate([[measured.lowest / 100], measured.frequency[1:]])
+    spectrum = np.ones_like(measured.spectrum)
+    spectrum[:, 0] = 0.01
+    coloured = np.ones_like(measured.coloured)
+    noise = replace(measured, frequency=frequency, spectrum=spectrum, density=spectrum, coloured=coloured)
+    for blocks in noise.of_coefficients(weighing.observed, weighing.spectrum):
+        means = blocks.variances[weighing.spectrum.means]
+        assert np.all((means > 0.5) & (means < 1.1))

@@ -191,3 +191,14 @@ def test_waves_are_whitened_in_parts() -> None:
     for found, expected in zip(in_parts, repeating._of_part(left, waves, (2, 8)), strict=True):
         np.testing.assert_allclose(found[0], expected[0], rtol=1e-6, atol=1e-9 * expected[0].max())
         np.testing.assert_allclose(found[1].sum(1), expected[1].sum(1), rtol=1e-6)
+
+
+def test_a_segment_that_the_fit_absorbs_holds_no_deviation() -> None:
+    """Nothing but rounding errors remains of the means if every segment has a bias of its own."""
+    weighing = Weighing(record())
+    channels = [Left.whole(weighing.weights_at(weighing.likeliest[0], index)) for index in range(6)]
+    means = weighing.spectrum.means
+    own = np.zeros((len(weighing.spectrum.segment), len(means)))
+    own[means, np.arange(len(means))] = 1.0
+    absorbed = [Left.whole(left.weight.beside(own)) for left in channels]
+    assert abs(_one_segment(means, absorbed)) < 1e-6

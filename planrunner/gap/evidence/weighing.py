@@ -569,5 +569,11 @@ def _seen(values: Array, along: Array, largest: float) -> Eigen:
     """Removes the eigenvalues and squared scores of the directions that the nominal parameters absorb completely. `values`: array
     of shape (p,), eigenvalues of the Gram matrix. `along`: array of shape (p,), squared scores. `largest`: largest energy of a
     column before the projection."""
-    seen = values > _NOTHING**2 * largest
+    seen = visible(values, largest)
     return values[seen], along[seen]
+
+
+def visible(energy: Array, largest: float) -> NDArray[np.bool_]:
+    """Returns a mask of the columns of which the nominal parameters leave more than rounding errors. `energy`: energies of the
+    columns after the projection. `largest`: largest energy of a column before the projection."""
+    return np.asarray(energy > _NOTHING**2 * largest)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean_exp
 from planrunner.gap.evidence.covariance import lasting
-from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen
+from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen, visible
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.outside import PLAIN, Line, Outside, outside, scopes_of
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Rows, Sort, designs, factors, sizes, sorts
@@ -255,9 +255,14 @@ def _one_segment(means: NDArray[np.int64], channels: Sequence[Left]) -> float:
     each = []
     for left in channels:
         at, whitened = left.whitened(np.eye(len(means)), means)
-        size = np.maximum((whitened**2).sum(0) - ((left.basis[at].T @ whitened) ** 2).sum(0), 0.0)
-        score = (whitened.T @ left.residual[at]) ** 2
-        each.append(averaged(from_eigen(size[:, None], score[:, None], float(size.max()))))
+        whole = (whitened**2).sum(0)
+        size = whole - ((left.basis[at].T @ whitened) ** 2).sum(0)
+        seen = visible(size, float(whole.max(initial=0.0)))
+        found = np.zeros(len(size))
+        if seen.any():
+            score = (whitened[:, seen].T @ left.residual[at]) ** 2
+            found[seen] = averaged(from_eigen(size[seen, None], score[:, None], float(size[seen].max())))
+        each.append(found)
     return float(log_mean_exp(np.concatenate(each), 0))
 
 
