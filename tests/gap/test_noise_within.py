@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
 from scipy.signal import lfilter
 
 from planrunner.error_model.observed import Observed
@@ -127,6 +128,12 @@ def test_the_mean_of_a_short_segment_contains_the_noise_of_several_bands() -> No
     spectrum[:, 0] = 0.01
     coloured = np.ones_like(measured.coloured)
     noise = replace(measured, frequency=frequency, spectrum=spectrum, density=spectrum, coloured=coloured)
+    lasting = weighing.observed.counts[0] / weighing.observed.sample_rate
+
+    def lobe(turns: float, level: bool) -> float:
+        at = np.interp(np.log(turns / lasting), np.log(frequency), np.log(spectrum[0, :, 0]))
+        return float(np.sinc(turns) ** 2 * (np.exp(at) if level else 1.0))
+
+    noise_of, whole = (quad(lobe, 0, 1, (level,), limit=500)[0] for level in (True, False))
     for blocks in noise.of_coefficients(weighing.observed, weighing.spectrum):
-        means = blocks.variances[weighing.spectrum.means]
-        assert np.all((means > 0.5) & (means < 1.1))
+        assert blocks.variances[weighing.spectrum.means] == pytest.approx(noise_of / whole, rel=0.03)

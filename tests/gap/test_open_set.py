@@ -13,7 +13,15 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.open_set import PERIODIC, Kinds, Repeating, _within, competitors, something_else
+from planrunner.gap.hypotheses.open_set import (
+    PERIODIC,
+    Kinds,
+    Repeating,
+    _one_segment,
+    _within,
+    competitors,
+    something_else,
+)
 from planrunner.gap.hypotheses.outside import BURSTS
 from planrunner.gap.hypotheses.patterns import CHANGING, WHOLE, Sort
 from planrunner.plan.schedule import Spin
