@@ -51,6 +51,7 @@ _STILL = 0.1  # standard deviations of the noise; a smaller change of an effect 
 
 _WIDTHS = (1000.0, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0)
 """Steps of the differences that replace derivatives in the first iterations, in standard uncertainties of the output."""
+_WIDTHS_BESIDE = (30.0, 10.0, 3.0, 1.0)  # the same, if the fit starts from the parameters of a neighbouring shape
 
 
 def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candidate]:
@@ -252,6 +253,7 @@ _SAME = 0.05  # standard deviations; two shapes that differ by less count as equ
 _DROP = 0.5  # nats below the best log evidence, which correspond to one standard deviation
 _TOLD = 1.0  # nats by which an effect must be more probable than no effect
 _CLOSER = 16  # factor by which a parabola narrows the search for a shape
+_SCATTERED = 3.0  # standard deviations by which the energy of noise may exceed its mean
 _NEARBY = 6  # shapes between a shape and the next one of the grid
 _SPAN, _FORMS = 4.0, 17  # range in standard deviations on both sides, and number of values in this range
 
@@ -298,15 +300,25 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
     """Searches for the most probable shape and fits the nominal parameters. For an effect on the output, the shape and the nominal
     parameters are varied together. This search follows the parameters from one optimum. There may be several optima: for example,
     an output near a dead zone can lie inside or outside the dead zone. Therefore, smaller and larger shapes are also tried, each
-    with the nominal parameters that fit best. A clearly better shape replaces the shape that was found first."""
+    with the nominal parameters that fit best. A clearly better shape replaces the shape that was found first. If the first shape
+    leaves no more than noise, no other shape can explain clearly more, and none is tried."""
     best, values = (near, None) if near is not None else _start(weighing, effect)
     steps = _STEPS if near is None else _STEPS_BESIDE
     evidence, found, values = _alternated(weighing, effect, best, values, columns, steps)
     acting = on_output(effect)
-    if acting is None or near is not None:
+    if acting is None or near is not None or _only_noise(weighing, acting, found.shape, values):
         return found
     value, other = _beside(weighing, acting, found.shape, values, columns)
     return other if value > evidence + _TOLD else found
+
+
+def _only_noise(weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array]) -> bool:
+    """Returns True if the coefficients minus the effect and the nominal outputs are not larger than noise. `values`: parameters (q,)
+    of each channel for `shape`."""
+    caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(weighing.seen(values), shape).columns)
+    rest = sum(weighing.misfits(values, [raw.sum(axis=1) for raw in caused]))
+    degrees = float(weighing.spectrum.values.size - sum(len(own) for own in values))
+    return rest <= degrees + _SCATTERED * np.sqrt(2 * degrees)
 
 
 def _beside(
@@ -323,7 +335,7 @@ def _beside(
         for end in ends:
             now = values
             for at in np.linspace(place, end, _NEARBY + 1)[1:].tolist():
-                now = settled(weighing, effect, float(np.exp(at)), now)
+                now = settled(weighing, effect, float(np.exp(at)), now, widths=_WIDTHS_BESIDE)
                 (form,) = weighing.weigh([effect.at(weighing.seen(now), float(np.exp(at)))])
                 known[at] = _evidence(weighing, form), now
         found = np.array(sorted(known))
@@ -572,25 +584,30 @@ def moving(
 
 
 def settled(
-    weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array], amplitude: float = 1.0
+    weighing: Weighing,
+    effect: Shaped,
+    shape: float,
+    values: Sequence[Array],
+    amplitude: float = 1.0,
+    widths: Sequence[float] = _WIDTHS,
 ) -> list[Array]:
     """Fits the nominal parameters together with an effect on the output. Returns the values (q,) of the parameters of each channel,
     in magnitudes. `shape`, `amplitude`: shape and amplitude of the effect. `values`: values of the nominal parameters at which the
-    fit starts.
+    fit starts. `widths`: steps of the first derivatives, in standard uncertainties of the output.
 
     Repeated fits to the data minus the effect would converge slowly: in segments with a limited output, these data follow the scale
     factor of the preceding fit. Therefore, the fit includes the change of the effect with the parameters (Gauss–Newton). The first
-    derivatives are differences over wide steps (`_WIDTHS`): within a dead zone, the output is zero, and the exact derivative would
+    derivatives are differences over wide steps (`widths`): within a dead zone, the output is zero, and the exact derivative would
     not show how to leave the dead zone. The steps may also lead away from the best parameters. If the fit does not end with the
     smallest misfit, it is repeated with small steps from the parameters with the smallest misfit, separately in each channel.
     """
     found, steps = list(values), _steps(weighing)
     best = [(np.inf, own) for own in found]  # of each channel, the smallest misfit and its parameters
-    for widths in (_WIDTHS, _WIDTHS[-1:]):
+    for step in (widths, widths[-1:]):
         for number in range(_FITS):
             seen = replace(weighing.observed, fitted=weighing.output_at(found))
-            if number < len(widths):
-                change = _changes(weighing, effect, shape, seen, amplitude, widths[number] * steps)
+            if number < len(step):
+                change = _changes(weighing, effect, shape, seen, amplitude, step[number] * steps)
             caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(seen, shape).columns)
             taken = [raw.sum(axis=1) * amplitude for raw in caused]
             now = [*zip(weighing.misfits(found, taken), found, strict=True)]
@@ -604,7 +621,7 @@ def settled(
                 own[0].whiten(whole @ (new - old)[:, None])
                 for own, whole, new, old in zip(weighing.weights, weighing.whole, found, before, strict=True)
             ]
-            if number >= len(widths) - 1 and max(float((part**2).sum()) for part in moved) < _STILL**2:
+            if number >= len(step) - 1 and max(float((part**2).sum()) for part in moved) < _STILL**2:
                 break
         if all(least >= misfit - _STILL**2 for (least, _), (misfit, _) in zip(best, now, strict=True)):
             break
