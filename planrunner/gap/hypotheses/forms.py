@@ -318,7 +318,7 @@ def _only_noise(weighing: Weighing, effect: Shaped, shape: float, values: Sequen
     caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(weighing.seen(values), shape).columns)
     rest = sum(weighing.misfits(values, [raw.sum(axis=1) for raw in caused]))
     degrees = float(weighing.spectrum.values.size - sum(len(own) for own in values))
-    return rest <= degrees + _SCATTERED * np.sqrt(2 * degrees)
+    return bool(rest <= degrees + _SCATTERED * np.sqrt(2 * degrees))
 
 
 def _beside(
