@@ -39,7 +39,7 @@ def shortage(folder: Path, needed: int) -> str:
     disk has enough room."""
     existing = next((place for place in (folder, *folder.absolute().parents) if place.exists()), Path.cwd())
     free = shutil.disk_usage(existing).free
-    return "" if free >= needed else f"needs up to {_size(needed)}, the disk has {_size(free)} free"
+    return "" if free >= needed else f"needs up to {_size(needed)}, but the disk has only {_size(free)} free"
 
 
 def _size(size: float) -> str:

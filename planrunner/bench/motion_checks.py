@@ -131,7 +131,7 @@ def _check_moved(motion: RecordedMotion, models: BenchModels, at: MarkOf, log: F
 
 
 def no_table(what: str, mark: Mark, log: Findings) -> None:
-    log.error("physics-no-table", mark, f"this bench has no table to {what}", "use a bench with a table")
+    log.error("physics-no-table", mark, f"this bench has no table that can {what}", "use a bench with a table")
 
 
 def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
@@ -350,7 +350,7 @@ def _check_stops(motion: Cycle, mark: Mark, log: Findings) -> None:
         opposite = held.get(round((angle + 180) % 360, 6) % 360, 0.0)
         if seconds > opposite:
             unlike.append(f"{names[angle]} for {seconds:g} s per cycle, the opposite side for {opposite:g} s")
-    message = f"the stops do not balance: {'; '.join(unlike)}"
+    message = f"the stop times on opposite sides differ: {'; '.join(unlike)}"
     log.warning("physics-cycle-stops", mark, message, "stop equally long on opposite sides")
 
 

@@ -52,13 +52,15 @@ def ask(control: str, request: Mapping[str, Json], token: str | None = None) -> 
         with socket.create_connection((host, int(port)), _PATIENCE) as connection:
             connection.sendall(json.dumps(request).encode() + b"\n")
             with connection.makefile("rb") as replies:
-                reply: JsonObject = json.loads(replies.readline() or b'{"error": "it hung up"}')
+                reply: JsonObject = json.loads(
+                    replies.readline() or b'{"error": "the connection was closed before an answer arrived"}'
+                )
     except (OSError, ValueError) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or error
         message = f"no simulated bench answers at {control} ({reason}): start it with `planrunner simulate-bench BENCH`"
         raise InstrumentError(message) from None
     if "error" in reply:
-        raise InstrumentError(f"the simulated bench at {control} says: {reply['error']}")
+        raise InstrumentError(f"the simulated bench at {control} reports: {reply['error']}")
     return reply
 
 

@@ -85,7 +85,7 @@ def workers_of(args: argparse.Namespace, jobs: int | None = 1) -> Workers:
     if args.scheduler == HERE:
         return Workers(args.jobs)
     if args.jobs is not None:
-        message = "--jobs is for the processes of this machine, not for a cluster"
+        message = "--jobs sets the number of processes on this machine and cannot be used with a cluster"
         raise InputError.of_usage(message, "give --jobs or --scheduler")
     return Workers(1, args.scheduler)
 

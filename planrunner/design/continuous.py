@@ -94,7 +94,7 @@ def solve(
     if np.linalg.matrix_rank(information(rows) + always) < p:
         raise ValueError("the candidates cannot separate all terms")
     if not 0.0 <= least * count < 1.0:
-        raise ValueError("the minimum shares add up to the whole")
+        raise ValueError("the minimum shares must not be negative, and their sum must be less than 1")
     free = np.full(count, 1.0 / count) if start is None else np.maximum(start, 1e-6 / count)
     free /= free.sum()
     held, loose = least * information(rows) + always, 1.0 - least * count

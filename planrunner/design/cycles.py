@@ -97,7 +97,7 @@ def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers 
     """
     if abs(planned.integral()[0]) > NOTHING * planned.period:
         raise CycleError(
-            "the stops do not balance, and turns cannot compensate for that: stop equally long on opposite sides"
+            "the stop times on opposite sides differ, and turns cannot compensate for this: stop equally long on opposite sides"
         )
     most = max(HALF_TURN, *(abs(turn) for turn in planned.turns)) + _ANGLE
     choices = [_ways(turn, most) for turn in planned.turns]

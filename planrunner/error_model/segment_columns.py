@@ -353,9 +353,7 @@ def estimable(effect: Effect) -> str:
     if isinstance(effect, OutsideCoefficients):
         return "it acts on the noise, not on means: use allan_deviation"
     if isinstance(effect, HasShape) and not isinstance(effect, ShapedOverSegments | ChangesWithinSegments):
-        return (
-            f"its class does not say how its shape ({effect.shape_name}) changes the output: use `planrunner diagnose`"
-        )
+        return f"its class does not define how its shape parameter ({effect.shape_name}) changes the output: use `planrunner diagnose`"
     if isinstance(effect, HasAlternatives):
         return "it acts in one of several ways: use `planrunner diagnose`"
     if isinstance(effect, PerOrientation):

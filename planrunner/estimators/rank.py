@@ -94,7 +94,9 @@ def explain(null: Array, names: Sequence[str]) -> str:
     zero = [combination[0][0] for combination in found if len(combination) == 1]
     if zero:
         listed = " and ".join([", ".join(zero[:-1]), zero[-1]] if len(zero) > 1 else zero)
-        sentences.append(f"{listed} {'are' if len(zero) > 1 else 'is'} zero in every position")
+        sentences.append(
+            f"the {'terms' if len(zero) > 1 else 'term'} {listed} {'are' if len(zero) > 1 else 'is'} zero in every position"
+        )
     for combination in found:
         if len(combination) > 1:
             involved = [name for name, _ in combination]

@@ -147,7 +147,7 @@ def _named(found: Sequence[tuple[RecordedSegment, Find]]) -> Inserted:
     left = sum(
         rows_of([one for other, one in found if other is each]) for each in {id(r): r for r, _ in found}.values()
     )
-    return said("{finds} and {more} more detections, {rows} samples in total", finds=texts, more=more, rows=left)
+    return said("{finds} and {more} more; {rows} samples in total", finds=texts, more=more, rows=left)
 
 
 def _in_words(found: Sequence[tuple[RecordedSegment, Find]]) -> str:

@@ -295,7 +295,7 @@ def rows_of(
         rows = _held(item, names) if size is None else _averaged(item, channels, names, size, encoder)
     if len(rows.time) < 8:
         raise ObservationError(
-            f"segment '{item.label}' holds {len(rows.time)} usable samples: leave it out or record it again"
+            f"segment '{item.label}' has {len(rows.time)} usable samples, but at least 8 are necessary: leave it out or record it again"
         )
     return rows
 

@@ -238,10 +238,12 @@ def spin_axis(
         if abs(cosine) > math.cos(ALIGNED):
             return index
     off = [
-        f"'{axis.name}' is {math.degrees(math.acos(min(1.0, abs(float(c))))):.4g} deg from it"
+        f"'{axis.name}' {math.degrees(math.acos(min(1.0, abs(float(c))))):.4g} deg"
         for axis, c in zip(axes, cosines, strict=True)
     ]
-    raise Unreachable("no axis is along that direction now: " + ", ".join(off))
+    raise Unreachable(
+        f"no axis of the table is parallel to the axis of rotation at this attitude; angles between them: {', '.join(off)}"
+    )
 
 
 def check_geometry(axes: Sequence[TableAxis]) -> None:

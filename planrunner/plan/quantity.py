@@ -138,7 +138,11 @@ def parse_sweep(text: str, dimension: str | None) -> list[Quantity]:
     """
     if re.search(r",[^ \t\r\n\u00a0\u2009\u202f]", text):
         hint = "write a decimal point (1.5 deg/s), or a space after the comma between two values (1, 5 deg/s)"
-        raise QuantityError("form-quantity", f"'{text.strip()[:40]}': does this comma separate values?", hint)
+        raise QuantityError(
+            "form-quantity",
+            f"'{text.strip()[:40]}' has a comma without a following space, which may be a decimal comma",
+            hint,
+        )
     if len(text) > _MAX_SWEEP:
         raise QuantityError(
             "form-quantity", f"a sweep longer than {_MAX_SWEEP} characters", "write the values as a list"

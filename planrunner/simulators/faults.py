@@ -26,22 +26,22 @@ WORDS = {
     "late": "each reply arrives `delay` later",
     "partial": "only half of each reply arrives",
     "garbage": "each reply consists of wrong bytes",
-    "silent": "nothing comes",
+    "silent": "no reply arrives",
     "drop link": "the connection is closed in place of a reply",
     "refuse": "the port is closed, with all its connections",
     "wrong model": "the instrument identifies itself as another one",
 }
 LINE = {
-    "silent": WORDS["silent"],
+    "silent": "no frame arrives",
     "corrupt": "a `share` of the frames has a wrong byte",
     "lose": "a `share` of the frames is missing",
     "duplicate": "a `share` of the frames arrives twice",
     "reorder": "a `share` of the frames arrives after the next frame",
     "unplug": "the line disappears, and returns after the fault",
     "wrong baud": "every byte arrives as if at another baud rate",
-    "wrong model": "another instrument sends its lines on this port",
-    "overload": "its status reports an axis beyond its range",
-    "self-test": "its status reports a failed self-test",
+    "wrong model": "the frames are those of another instrument",
+    "overload": "the status reports that the x gyro is beyond its range",
+    "self-test": "the status reports a failed self-test",
 }
 AILMENTS = frozenset({"overload", "self-test"})
 """Faults that the status of a sensor reports."""

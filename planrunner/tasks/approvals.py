@@ -207,10 +207,10 @@ def _tell(
         if len(persons) == 1
         else f"only the approvals by {', '.join(persons)} count"
     )
-    have = "there is none" if not found else "there are approvals, but none counts" if not persons else counted
+    have = "there is none" if not found else "none of the existing approvals counts" if not persons else counted
     who = "one person" if rule.required == 1 else f"{rule.required} persons"
     message = f"the bench '{bench.name}' requires an approval of the plan by {who}; {have}"
-    hint = remedy or f"`planrunner approve {plan}`; --list shows all"
+    hint = remedy or f"approve the plan with `planrunner approve {plan}`; with --list, this command lists all approvals"
     log.error("approval-missing", bench.at("approvals"), message, hint)
     newest: dict[str, JudgedApproval] = {}
     for one in found:
@@ -247,7 +247,7 @@ def still_approved(
         return ()
     if reader.approvals is None:
         message = f"the bench '{bench.name}' requires approvals, but this run began without any"
-        raise InputError.at(bench.at("approvals"), "approval-missing", message, "run the plan again, approved")
+        raise InputError.at(bench.at("approvals"), "approval-missing", message, "approve the plan, then run it again")
     kept, damaged = kept_approvals(reader.approvals, reader.path)
     ring, own = ring_of_run(rule, kept, bench_file).ring, bench_of(reader.bench_bytes, str(reader.path / BENCH))
     withdrawals = [one for one in read_approvals(Path(kept.folder)) if isinstance(one, StatedWithdrawal)]
@@ -321,7 +321,10 @@ def run_approvals(found: Examined, ring: KeyRing | None) -> tuple[RunApproval, .
             message = f"{path / BENCH}: this bench requires approvals, but the run has none ({APPROVALS})"
             found.error("run-approval", message, hint="")
         elif "signature" in found.run.get("check_standard", {}).get("override", {}):
-            message = f"{path / RUN}: it has a signed override, but its bench names no key ring with which to verify it"
+            message = (
+                f"{path / RUN}: the run has a signed override, but its bench file names no key ring, so the signature cannot be "
+                "verified"
+            )
             found.error("run-approval", message, hint="")
         return ()
     try:

@@ -39,7 +39,7 @@ def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
     turns = ", ".join(f"gyro_{gyro} turns about {axis}" for gyro, axis in zip("xyz", axes, strict=True))
     return (
         f"Gyros and accelerometers have different axes. In the axes of the accelerometers: {turns}.",
-        "Exchange columns or write `sign: -1`, until both describe the same turns.",
+        "Exchange columns, or write `sign: -1` for a channel, until the gyros and the accelerometers have the same axes.",
     )
 
 

@@ -110,7 +110,8 @@ def missing_log(
     made = sum(run.told is not None for run in runs)
     if not made:
         return None
-    message = f"there is no log here, but {made} of the runs were entered in one: removed runs cannot be detected"
+    entered = f"{made} of its runs {'was' if made == 1 else 'were'} entered in a log"
+    message = f"this archive has no log, but {entered}: without this log, removed runs cannot be detected"
     found.warning("log-elsewhere", message, "verify the archive in which they were made")
     return found
 

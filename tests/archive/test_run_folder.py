@@ -248,7 +248,7 @@ def test_space_is_asked_before_the_first_move(tmp_path: Path, monkeypatch: pytes
     space.require_space(tmp_path / "not" / "yet", 1000)
     usage = shutil.disk_usage(tmp_path)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage._replace(free=50_000_000))
-    with pytest.raises(InputError, match=r"needs up to 1\.0 GB, the disk has 50 MB free"):
+    with pytest.raises(InputError, match=r"needs up to 1\.0 GB, but the disk has only 50 MB free"):
         space.require_space(tmp_path, 1_000_000_000)
 
 

@@ -61,7 +61,7 @@ def test_products_on_all_cardinal_positions_are_named() -> None:
     found = identify_block(block(CARDINAL, ("accel_x_accel_z", "accel_y_accel_z")))
     assert found.rank == 6
     assert found.unidentifiable == ("accel_x_accel_z", "accel_y_accel_z")
-    assert found.explanation == "accel_x_accel_z and accel_y_accel_z are zero in every position"
+    assert found.explanation == "the terms accel_x_accel_z and accel_y_accel_z are zero in every position"
     assert math.isinf(found.condition)
 
 

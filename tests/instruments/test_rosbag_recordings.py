@@ -191,7 +191,7 @@ def test_every_form_gives_the_numbers_that_were_written(
     np.testing.assert_allclose(found["/imu.receive_time"] - time, 0.002, atol=3e-7)
     unclosed = "not closed" in form or "active" in form
     assert file.remarks == (
-        ("messages that the recorder had not written yet, because the bag was not closed",) * unclosed
+        ("messages that the recorder did not write to the file before it stopped (the bag was not closed)",) * unclosed
     )
     assert file.rows_about() == COUNT
 
@@ -553,7 +553,7 @@ def test_a_bag_whose_recorder_was_killed(tmp_path: Path, packed: bool) -> None:
     kept = 200 if packed else 249
     np.testing.assert_array_equal(found[CHANNELS[0]], ros_bytes.truth(250)[:kept, 0])
     assert file.remarks == (
-        "messages that the recorder had not written yet, because the bag was not closed",
+        "messages that the recorder did not write to the file before it stopped (the bag was not closed)",
         "an incomplete record at the end of the file",
     )
 

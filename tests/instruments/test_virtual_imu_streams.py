@@ -101,5 +101,5 @@ def test_what_it_cannot_record_is_said(how, words):
 
 
 def test_a_mode_that_it_has_not_is_said():
-    with pytest.raises(InstrumentError, match="no mode 'caged', only powered and unpowered"):
+    with pytest.raises(InstrumentError, match="no mode 'caged'; its modes are powered and unpowered"):
         InertialBench().sensor.set_mode("caged")

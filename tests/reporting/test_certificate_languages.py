@@ -212,8 +212,8 @@ def test_texts_with_names_and_numbers_are_translated() -> None:
         == "x：-40 °C 时沿敏感轴的标度因数"
     )
     fewer = said("has {count} of {most} rates", count=3, most=12)
-    left_out = said("Series {series} {why}: it is left out.", series="20degC/r1", why=fewer)
-    assert left_out == "Series 20degC/r1 has 3 of 12 rates: it is left out."
+    left_out = said("Series {series} {why}, so it is left out.", series="20degC/r1", why=fewer)
+    assert left_out == "Series 20degC/r1 has 3 of 12 rates, so it is left out."
     assert term(left_out) == "测量序列 20degC/r1 仅有 12 个角速率中的 3 个，未予采用。"
     # A name is not a text, even if a catalogue has the same word; nor is a plain text, as of results of an earlier version.
     assert term(said("{output}: offset at zero rate", output="site")) == "site：零速率时的偏置"

@@ -196,7 +196,7 @@ def test_refusals_are_reported_with_their_reason() -> None:
             chamber.read()
     with f4t() as (answers, chamber):
         answers.says[":UNIT:TEMPERATURE?"] = "F"
-        with pytest.raises(InstrumentError, match=r"stays at the unit 'F' instead of C"):
+        with pytest.raises(InstrumentError, match=r"keeps the temperature unit 'F', although C was commanded"):
             chamber.set_temperature(WARM)
 
 

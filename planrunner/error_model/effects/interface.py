@@ -151,7 +151,7 @@ def about(effect: Effect) -> About:
         return effect.about
     physics = " ".join((effect.__doc__ or "").partition("\n\n")[0].split())
     actor = _BY_STAGE.get(effect.stage, Actor.SENSOR)
-    return About(effect.id.replace("_", " "), physics or "The plug-in describes no physics.", actor, _DEFAULT)
+    return About(effect.id.replace("_", " "), physics or "The plug-in contains no description.", actor, _DEFAULT)
 
 
 _DEFAULT = "Remove the cause, or compensate the effect: {found}."
@@ -170,7 +170,7 @@ def effect_named(name: str) -> Effect:
     made: Effect = plugins.load(plugins.EFFECTS, name)()
     if made.stage == "covariance" and not isinstance(made, OutsideCoefficients):
         message = f"the effect '{name}' has the stage covariance, but no attribute 'outside'"
-        hint = "its author must add it (development versions called it 'noise')"
+        hint = "the author of the plug-in must add this attribute; in development versions, its name was 'noise'"
         raise InputError.at(Mark("<plug-ins>"), "plugin-broken", message, hint)
     return made
 

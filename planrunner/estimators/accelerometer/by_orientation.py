@@ -145,7 +145,7 @@ def _axis(axis: int, fit: OutputsFit, model: ErrorModel) -> list[tuple[Reported,
     seen = _excited(model)
     if axis in seen and not fit.coefficients[axis, list(seen.values())].any():
         raise UnfitDataError(
-            f"channel '{fit.outputs[axis]}' does not respond to gravity at all: check whether it is connected"
+            f"channel '{fit.outputs[axis]}' shows no response to gravity in any position: check whether this channel is connected"
         )
     found: list[tuple[Reported, RowFormula]] = []
     misalignments: list[tuple[Reported, RowFormula]] = []

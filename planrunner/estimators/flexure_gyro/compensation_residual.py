@@ -285,7 +285,8 @@ def _sum(name: str) -> tuple[str, str, Said]:
 def _ratio(name: str, first: str) -> tuple[str, str, Said]:
     """Returns name, unit and description of the ratio of the residual sums of squares of two sets of coefficients."""
     words = said(
-        "Residual sum of squares with the coefficients of '{first}', divided by that with the coefficients of '{second}'",
+        "Residual sum of squares with the coefficients of '{first}', divided by the residual sum of squares with the "
+        "coefficients of '{second}'",
         first=name,
         second=first,
     )

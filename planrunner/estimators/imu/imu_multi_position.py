@@ -329,7 +329,8 @@ def _earth_rate_alone(
         return []
     axes = " and ".join(name[-1] for name in alone)
     message = (
-        f"only the Earth's rotation of 15 deg/h turns the gyros about {axes}; it alone determines {', '.join(alone)}"
+        f"about {axes}, the gyros turn only with the Earth (15 deg/h), so only the Earth's rotation determines "
+        f"{' and '.join(alone)}"
     )
     hint = (
         "add segments with a rate about each axis, in both directions; the predicted uncertainties show how "

@@ -58,7 +58,7 @@ def sentence(pairings: Sequence[Pairings]) -> Said:
     elif better:
         where = said("on {axes}, not on {others}", axes=tuple(better), others=tuple(worse))
     else:
-        where = said("on no axis, not on {others}", others=tuple(worse))
+        where = said("on none of the axes ({others})", others=tuple(worse))
     claim = said("not more than 70 % on {axes}", axes=tuple(few)) if few else said("more than 70 % on every axis")
     return said(
         "Over {pairs} random pairings, the accelerometer method has the smaller standard deviation {where}. In {share:.0f} % of "

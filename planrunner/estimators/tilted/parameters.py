@@ -52,8 +52,8 @@ class ScaleFactorTiltedParameters(Record):
     )
     reference_temperature: Quantity = key(
         QuantityOf("temperature"),
-        "Reference temperature. The scale factor K_x of the x axis (and likewise K_y and K_z) is the one at the tested temperature "
-        "nearest to it. Temperature coefficients refer to it, too.",
+        "Reference temperature. The scale factor K_x of the x axis (and likewise K_y and K_z) is the scale factor at the "
+        "tested temperature nearest to the reference temperature. The temperature coefficients refer to this tested temperature.",
         "20 degC",
         default=parse_quantity("20 degC"),
     )

@@ -300,7 +300,7 @@ def _complete(
                 lacking.append((one, said("has different rates from the other series")))
             else:
                 whole_ones.append(one)
-    warnings = [said("Series {series} {why}: it is left out.", series=one.name, why=why) for one, why in lacking]
+    warnings = [said("Series {series} {why}, so it is left out.", series=one.name, why=why) for one, why in lacking]
     if not whole_ones:
         one, why = lacking[0]
         raise EstimationError(

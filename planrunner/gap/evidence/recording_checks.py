@@ -111,7 +111,10 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
         design = np.column_stack([stimulus, np.ones(len(stimulus))])
         rank = int(np.linalg.matrix_rank(design / np.maximum(np.abs(design).max(axis=0), 1e-30)))
         if len(observed) <= rank:
-            message = f"{len(observed)} segments are too few: with {rank} nominal parameters per channel of {word}, none can be withheld"
+            message = (
+                f"{len(observed)} segments are too few: with {rank} nominal parameters per channel of {word}, no segment can be "
+                "withheld"
+            )
             log.warning(
                 "gap-no-held-out",
                 mark,
@@ -262,7 +265,7 @@ def _check_labels(observed: Observed, mark: Mark, log: Findings) -> None:
         first, second, times = found
         labels = f"'{observed.labels[first]}' and '{observed.labels[second]}'"
         message = (
-            f"the labels {labels} seem to be exchanged: with these labels the other way round, the misfit is "
+            f"the labels {labels} seem to be exchanged: if each label is given to the other segment, the misfit is "
             f"{times:.3g} times smaller"
         )
         hint = "check the order in which these segments were recorded, and exchange them in the table of segments or in the plan"
@@ -331,7 +334,9 @@ def _check_poses(observed: Observed, mark: Mark, log: Findings) -> None:
         message = f"at rest the accelerometers read {ratio:.3g} times gravity"
         log.error("gap-nominal-misfit", mark, message, "check the channels' units and signs in the bench file")
     if len(observed) <= POSE_PARAMETERS:
-        message = f"{len(observed)} poses are too few: with {POSE_PARAMETERS} nominal parameters, none can be withheld"
+        message = (
+            f"{len(observed)} poses are too few: with {POSE_PARAMETERS} nominal parameters, no pose can be withheld"
+        )
         log.warning(
             "gap-no-held-out",
             mark,

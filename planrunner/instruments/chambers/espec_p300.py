@@ -97,6 +97,6 @@ class EspecP300Commands(LinkedCommands):
     def _ask(self, text: str, again: bool = True) -> str:
         said = self.link.query(self.station + text, again=again)
         if said.startswith("NA:"):
-            reason = REASONS.get(said[3:].strip(), "its manual has the reason")
+            reason = REASONS.get(said[3:].strip(), "see the manual of the controller for the reason")
             raise InstrumentError(f"{self.parameters.address} refuses '{text}' with '{said[:60]}': {reason}")
         return said

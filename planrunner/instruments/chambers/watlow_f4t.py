@@ -52,7 +52,10 @@ class WatlowF4tCommands(LinkedCommands):
         self.link.write(":UNIT:TEMPERATURE C")
         unit = self.link.query(":UNIT:TEMPERATURE?")
         if unit.upper() != "C":
-            raise InstrumentError(f"the F4T stays at the unit '{unit[:20]}' instead of C: set the unit at its panel")
+            message = (
+                f"the F4T keeps the temperature unit '{unit[:20]}', although C was commanded: set the unit at its panel"
+            )
+            raise InstrumentError(message)
         self.link.write(f"{self.loop}:RSCALE MINUTES")
         self.link.write(f"{self.loop}:RRATE {written(ramp)}")
         self.link.write(f"{self.loop}:RACTION SETPOINT")

@@ -41,7 +41,7 @@ ROS1_MAGIC = b"#ROSBAG V"
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\x00"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_NOT_CLOSED = "messages that the recorder had not written yet, because the bag was not closed"
+_NOT_CLOSED = "messages that the recorder did not write to the file before it stopped (the bag was not closed)"
 
 _MALFORMED = (struct.error, UnicodeDecodeError, IndexError, KeyError)
 """Exceptions that are raised if a record has a wrong form."""

@@ -132,7 +132,9 @@ class DeclaredFrame(SerialSensor[DeclaredFrameParameters]):
     def set_mode(self, mode: str) -> float:
         modes = self.parameters.modes
         if mode not in modes:
-            raise InstrumentError(f"it has no mode '{mode}'; the bench file names {', '.join(modes) or 'none'}")
+            raise InstrumentError(
+                f"the bench file declares no mode '{mode}'; declared modes: {', '.join(modes) or 'none'}"
+            )
         self.link.write(modes[mode].encode("ascii") + b"\r")
         return 0.0
 

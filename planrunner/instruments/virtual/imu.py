@@ -123,7 +123,7 @@ class VirtualImu(TakesEffects):
 
     def set_mode(self, mode: str) -> float:
         if mode not in MODES:
-            raise InstrumentError(f"it has no mode '{mode}', only {' and '.join(MODES)}")
+            raise InstrumentError(f"the virtual IMU has no mode '{mode}'; its modes are {' and '.join(MODES)}")
         if mode == "powered" and not self.powered:
             self.times_switched_on += 1
             self.switched_on = self.world.now()
