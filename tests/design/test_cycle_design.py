@@ -135,7 +135,7 @@ def test_cables_that_allow_less() -> None:
 
 
 def test_what_no_turns_can_mend() -> None:
-    with pytest.raises(CycleError, match="stops do not balance"):
+    with pytest.raises(CycleError, match="stop times on opposite sides differ"):
         same_order(cycle((90, 90, -90, -90)))
     with pytest.raises(CycleError, match="0, 90, 180 deg do not balance"):
         free_order([0.0, 90 * DEG, 180 * DEG], cycle((90, 90, -90, -90)))
