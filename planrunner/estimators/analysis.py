@@ -143,7 +143,7 @@ def _estimate(
 ) -> Estimate:
     for other in spec.uses:
         if other not in made:
-            why = "could not be computed" if other in estimates else "is not in the plan"
+            why = "could not be made" if other in estimates else "is not in the plan"
             raise EstimationError(f"it uses the estimate '{other}', which {why}")
     labels = [recorded.label for recorded in recording]
     chosen = tuple(recording[index] for index in select(labels, patterns_of(spec)))

@@ -158,10 +158,10 @@ def test_one_failure_leaves_the_others() -> None:
     found = analyse(estimates, [*missing, *wrong], recording(), SITE, sensor(*CHANNELS))
     assert list(found.estimates) == ["drift"]
     assert "no recorded segment has a label that matches X*" in found.failures["old"]
-    assert "uses the estimate 'old', which could not be computed" in found.failures["residual"]
+    assert "uses the estimate 'old', which could not be made" in found.failures["residual"]
     assert "flexure_gyro_statics" in found.failures["typo"]
     assert "failed unexpectedly (AttributeError" in found.failures["broken"]
-    assert "uses the estimate 'self', which could not be computed" in found.failures["self"]
+    assert "uses the estimate 'self', which could not be made" in found.failures["self"]
     assert "'old' gave no result to compare with the limit" in found.failures["limit on old.D_X_F"]
     assert "has no coefficient 'D_X_G'" in found.failures["limit on drift.D_X_G"]
     assert "write it in (deg/h)/(pulse/s)" in found.failures["limit on drift.SF_X"]
