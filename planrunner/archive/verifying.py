@@ -213,8 +213,8 @@ def _entries(found: Examined) -> RecordedEntries | None:
 
 
 def _recorded(found: Examined, standing: RecordedEntries) -> RecordedEntries:
-    """Lists the entries in the folder of samples. The function is called before the journal is read. If a listed file has an event,
-    the journal therefore contains this event."""
+    """Lists the entries in the folder of samples. The function is called before the journal is read. Therefore, if the event of a
+    listed file existed at the time of the listing, the journal contains this event."""
     if SEGMENTS not in standing:
         found.error("run-file-missing", f"{found.folder.path / SEGMENTS}: the folder of the samples is missing")
         return {}

@@ -6,8 +6,9 @@ from the root down, and every link on the way, must belong to the user or the ad
 folder to which all users may write is accepted if it has the sticky bit, like `/tmp`. The check also covers access control lists,
 because POSIX shows them in the group bits.
 
-Windows has no such permission bits. There only the system's data folders for the user or for all users are accepted (`user_data`,
-`computer_data`); their access control lists give the same protection. No folder below them may be a link or a junction.
+Windows has no such permission bits. On Windows, the only accepted folders are the system's data folders for the user or for all
+users (`user_data`, `computer_data`). Their access control lists give the same protection. No folder below them may be a link or a
+junction.
 """
 
 from __future__ import annotations

@@ -111,8 +111,8 @@ def compensated_rates(outputs: Array, observed: Array, specific_force: Array) ->
 
     `outputs`: the output coefficients [U; V], an array of shape (2, p) with p = 6; or k sets of output coefficients, an array of
     shape (2, p, k). `observed`: array of shape (n, 2), the outputs i_x and i_y. `specific_force`: array of shape (n, 3) in m/s^2.
-    M⁻¹ applied to the outputs gives [ω_Y + D(X); ω_X + D(Y)]. The drift D(X) = D(X)_F + D(X)_X·a_X + D(X)_Y·a_Y + D(X)_Z·a_Z and
-    the corresponding D(Y) are then subtracted.
+    The product of M⁻¹ and the outputs is [ω_Y + D(X); ω_X + D(Y)]; the module docstring defines M. The drift D(X) = D(X)_F +
+    D(X)_X·a_X + D(X)_Y·a_Y + D(X)_Z·a_Z and the corresponding D(Y) are then subtracted.
     """
     _, inverse = _mixing(outputs)
     drifts = physical_coefficients(outputs)[4:].reshape(2, -1, *outputs.shape[2:])

@@ -234,8 +234,8 @@ class Observed:
         self, *, fitted: Array | None = None, response: Array | None = None, scatter: Array | None = None
     ) -> Observed:
         """Returns a copy with another nominal model; arguments that are None leave an attribute unchanged. The copy shares the
-        motion at every sample with this recording, so the motion is neither computed nor stored again. The arguments are the
-        attributes with these names."""
+        motion at every sample with this recording, so the motion is neither computed nor stored again. Each argument replaces the
+        attribute of the same name."""
         made = replace(
             self,
             fitted=self.fitted if fitted is None else fitted,

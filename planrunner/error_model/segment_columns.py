@@ -302,7 +302,8 @@ class ErrorsAtSegments:
 
     @cached_property
     def _planned(self) -> Observed:
-        """Returns the planned segments as a recording of two ideal triads, whose samples are the nodes."""
+        """Returns the planned segments in the form of a recording. The recording contains two ideal triads, with one sample at each
+        node."""
         states, made = self.states, []
         for row, (segment, (angle, along, _)) in enumerate(zip(self.segments, self._nodes, strict=True)):
             zero = np.zeros(len(angle))

@@ -24,7 +24,7 @@ class QuantityLike:
 
     @property
     def what(self) -> str:
-        """Describes the quantity in the reference of the keys."""
+        """Returns the text that describes the quantity in the reference of the bench-file keys."""
         sign = {"positive": ", above zero", "not negative": ", zero or more"}.get(self.sign, "")
         return f"a quantity with a unit such as {self.unit}{sign}"
 

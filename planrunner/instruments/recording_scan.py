@@ -39,8 +39,9 @@ SHOWN = 3
 class Wanted:
     """An interval of the recording that a plan requires.
 
-    `span`: the interval in the table, after trimming. `dwell`: length [s] of the part to be played, None for the whole interval.
-    `mark`: line of the interval in the table.
+    `span`: the interval, in the time of the recording; an interval from the table of segments is trimmed. `dwell`: length [s] of
+    the part to be played, None for the whole interval. `mark`: position for findings: the line of the interval in the table of
+    segments, or the recording.
     """
 
     label: str

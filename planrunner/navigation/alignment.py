@@ -40,11 +40,12 @@ class Alignment:
     """Result of an alignment.
 
     `rotation`: array of shape (3, 3), body axes as columns in East-North-Up. `covariance`: array of shape (16, 16), covariance of
-    the errors that remain: the states of `error_equations`, the constant sensor errors, and the gyro errors per rate of turn, in
-    body axes. `constant`: array of shape (6,), estimates of the constant sensor errors, rad/s and m/s². `consistency`: root mean
-    square of the innovations, each divided by its expected standard deviation. `consistency` is usually about 1; a smaller value is
-    harmless. `largest`: the largest innovation, m/s. `followed`: array of shape (16, 6, m), the remaining errors if one of the 6
-    sensors has an error of 1 rad/s or 1 m/s² in one of m intervals of the alignment. If the intervals are not requested, m is 0.
+    the errors that remain: the 7 states of `error_equations`, the 6 constant sensor errors, and 3 gyro errors that are proportional
+    to the rate of turn, per unit of this rate. The sensor errors are in body axes. `constant`: array of shape (6,), estimates of
+    the constant sensor errors, rad/s and m/s². `consistency`: root mean square of the innovations, each divided by its expected
+    standard deviation. `consistency` is usually about 1; a smaller value is harmless. `largest`: the largest innovation, m/s.
+    `followed`: array of shape (16, 6, m), the remaining errors if one of the 6 sensors has an error of 1 rad/s or 1 m/s² in one of
+    m intervals of the alignment. If the intervals are not requested, m is 0.
     """
 
     rotation: Array

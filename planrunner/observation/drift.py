@@ -188,7 +188,8 @@ def _courses(
 
 def in_time(start: Array, end: Array, seconds: Array, highest: int = len(ORDERS)) -> tuple[DriftCourse, ...]:
     """Returns drift functions that are powers of the time [h] since the middle of the test, up to the highest order. `start`,
-    `end`: arrays of shape (n,) in s. `seconds`: array of shape (n,), recorded time of the used samples, s."""
+    `end`: arrays of shape (n,) in s. `seconds`: array of shape (n,), total duration of the used samples in each segment, s, which
+    is the weight of the segment when the functions are centred."""
     middle = (float(start.min()) + float(end.max())) / 2
     low, high = (start - middle) / _HOUR, (end - middle) / _HOUR
     made = []

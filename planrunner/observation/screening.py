@@ -304,7 +304,8 @@ class _Runs:
             self.shown += len(self.values[-1])
 
     def repeats(self, samples: int) -> RepeatedValues:
-        """Returns how the samples repeat, after the last run has ended. `samples`: number of samples."""
+        """Returns how often samples are repeated, and which values. It requires that `finish` has ended the last run of equal
+        samples. `samples`: number of samples."""
         values = np.concatenate(self.values) if self.values else np.empty(0)
         return RepeatedValues(values, 1 - int(self.lengths.sum()) / max(samples, 1))
 
@@ -871,8 +872,9 @@ def _as_one(finds: Sequence[Find]) -> list[Find]:
 
 def _off(values: Array, size: int, places: RowNumbers) -> Array:
     """Returns the distances of the selected values from local medians. Each median is taken over the `size` values around the
-    selected value. The values (n,) are extended beyond both ends along straight lines with the slope at the end. The extension
-    mirrors the deviations of the values from the line. A slow change of the values therefore does not count as a distance."""
+    selected value. Beyond each end, the values (n,) are extended along a straight line that has the slope of the values at this
+    end; if `size` is below 2·`_SLOPE_FROM`, the slope is 0. The deviations of the values from this line are mirrored at the end. A
+    slow change of the values therefore does not count as a distance."""
     half = size // 2
     wide = np.pad(values, half, mode="reflect")
     if half >= _SLOPE_FROM:

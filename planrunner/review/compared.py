@@ -29,8 +29,8 @@ class Compared:
 
     `names`: names of the two sides, as the user gives them. `meanings`: the meaning of each side; for a run, the meaning of its
     plan on its bench. `schedules`: the schedule of each plan; None if it could not be made. `unforeseen`: the reason why the
-    consequences are missing. `facts`: facts that differ between two runs. `conditions`: measured conditions that differ between two
-    runs.
+    consequences of the difference were not predicted. `facts`: facts that differ between two runs. `conditions`: measured
+    conditions that differ between two runs.
     """
 
     kind: ComparedKind

@@ -96,8 +96,8 @@ def _ring(rule: ApprovalRule, path: Path) -> RingFile:
 class _Reason:
     """Describes the reason why an approval does not count, in the form in which a finding states it.
 
-    `code`: code of the finding. `hint`: what to do. `key`: the key of the bench's rule for approvals that the approval violates;
-    empty if the reason does not refer to the rule.
+    `code`: code of the finding. `hint`: what to do. `key`: the violated key in the bench's rule for approvals; empty if the reason
+    does not refer to the rule.
     """
 
     code: str

@@ -105,8 +105,9 @@ class Attributed:
 class FleetDiagnosis:
     """Contains the diagnosis of several runs together.
 
-    `effects`: the effects that were fitted in every run in addition to the nominal terms. `not_attributed`: maps each effect that a
-    run names but that is not attributed to the reason. `shared`: amplitudes that all devices of a production lot have in common.
+    `effects`: the effects that were fitted in every run in addition to the nominal terms. `not_attributed`: the effects that a run
+    names but that are not attributed, each with the reason. `shared`: amplitudes that all devices of a production lot have in
+    common.
     """
 
     origins: tuple[RunOrigin, ...]

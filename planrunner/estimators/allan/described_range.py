@@ -78,13 +78,14 @@ class DescribedRange:
 
     @property
     def covariance(self) -> Array:
-        """Returns the covariance of the squared coefficients, shape (4, 4). It includes possible effects of the omitted averaging
-        times.
+        """Returns the covariance of the squared coefficients, shape (4, 4). It includes the distortion that the choice of the
+        averaging times may cause.
 
-        The end of the range was chosen with the same deviations that are fitted. The cause that changed the omitted deviations also
-        changes the neighbouring deviations, but by less than the χ² test can show. The resulting distortion of the coefficients is
-        estimated: it is the change of the coefficients if one more averaging time is omitted, minus the part of this change that
-        chance explains. The distortion counts as a systematic error that is not corrected (JCGM 100:2008, F.2.4.5)."""
+        The end of the range was chosen with the same deviations that are fitted. Whatever changed the deviations at the omitted
+        averaging times may also change the neighbouring deviations, by too little for the χ² test to detect. The resulting
+        distortion of the coefficients is estimated: it is the change of the coefficients if one more averaging time is omitted,
+        minus the part of this change that chance explains. The distortion counts as a systematic error that is not corrected (JCGM
+        100:2008, F.2.4.5)."""
         return np.asarray(self.fit.covariance + self.distortions.T @ self.distortions)
 
     @cached_property

@@ -147,9 +147,9 @@ def expected_run(run: Run, times: tuple[float, float], conditions: RockingCondit
 
 
 def lead_of(run: Run, parameters: RockingDriftParameters, setup: Setup, in_mode: float | None = None) -> float:
-    """Returns the time [s] from the release to the start of the record. The time comes from the plan (`released_before`) or from
-    the recording (`in_mode`); otherwise it is the planned time. Raises `EstimationError` if the bench plays back a recording that
-    does not contain this time."""
+    """Returns the time [s] from the release to the start of the record. If the plan states `released_before`, this time is
+    returned. Otherwise, the time is `in_mode`, which the run recorded. If neither is known, the time is `Run.planned_lead`, which
+    follows from the schedule. Raises `EstimationError` if neither is known and the bench plays back a recording."""
     if parameters.released_before is not None:
         return parameters.released_before.value
     if in_mode is not None:

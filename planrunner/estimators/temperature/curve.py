@@ -11,13 +11,13 @@ smallest held-out error. The rule selects the simplest curve whose error exceeds
 of the smallest error. The number of coefficients is at most half of the number of temperatures, rounded up, because otherwise, with
 few temperatures, one of the many possible curves would fit by chance.
 
-If the data select the order, the usual interval is too narrow, because terms that were not selected may still be as large as a
-standard deviation, and the usual interval ignores them. The uncertainty of a selected curve is therefore computed from the curve of
+If the data select the order, the usual interval is too narrow. A term that was not selected may still be as large as its own
+standard uncertainty, and the usual interval ignores it. The uncertainty of a selected curve is therefore computed from the curve of
 the highest order tried, which does not depend on the selection. The difference between the selected curve and the curve of the
 highest order is added as an uncorrected systematic error (JCGM 100:2008, F.2.4.5).
 
-The noise of values may be correlated over time by the flicker that the bench declares. Values and columns are then whitened with
-the covariance of the noise, and held-out errors are computed from the whitened values.
+The noise of values may be correlated over time by the flicker that the bench declares. The values and the columns of the design
+matrix are then whitened with the covariance of the noise, and held-out errors are computed from the whitened values.
 
 Further columns may be fitted together with the curve, for example for the difference between rising and falling temperature
 (`branches`). Ramps differ from one another by more than noise, because each ramp has an offset and a slope of random size. The
@@ -468,12 +468,13 @@ def _space(columns: Array) -> Array:
 
 
 def _with_ramps(made: Curve, columns: Array, values: OverTemperature, ways: Sequence[_Way]) -> CurveFit:
-    """Fits a curve together with random differences between ramps. `ways`: the differences, from `_ways`.
+    """Fits a curve together with random differences between ramps. `ways`: the kinds of differences that `_ways` returns.
 
     Let y be the weighted values, A the columns of the curve, and Z the columns of one difference. The projector M removes A, the
-    mean of Z in each direction, and the columns of the other differences. The reduction of the sum of squares by Z has k degrees of
-    freedom and the expectation k·φ + τ²·tr(ZᵀMZ). Here, φ is the variance of the noise, and τ is the standard deviation of the
-    difference. The weighted values then have the covariance V = φ·I + Σ τ²·Z·Zᵀ.
+    sum of the columns of Z over the rising ramps, their sum over the falling ramps, and the columns of the other differences. The
+    number k is the rank of M·Z. The reduction of the sum of squares by Z has k degrees of freedom and the expectation k·φ +
+    τ²·tr(ZᵀMZ). Here, φ is the variance of the noise, and τ is the standard deviation of the difference. The weighted values then
+    have the covariance V = φ·I + Σ τ²·Z·Zᵀ.
     """
     from scipy.special import fdtrc
 

@@ -139,7 +139,8 @@ def stated_conditions(
     model: GainModel, setup: Setup, site: Site, axes: MountedAxes, k: int, azimuth: str
 ) -> Iterator[StatedCondition[Array]]:
     """Yields each stated input with a function that computes the design matrix of axis k for a given error of this input. Such an
-    error changes all gains in an orientation equally, and therefore causes almost no scatter."""
+    error changes the gain equally in all segments of one orientation. It therefore causes almost no scatter of the means about a
+    line."""
     basis = gain_basis(axes, k, azimuth)
 
     def seen(by: Array) -> Array:

@@ -361,7 +361,7 @@ def _choices(
 def _forms(
     weighing: Weighing, found: Posterior, by_id: Mapping[str, Candidate], exact: Mapping[str, Forms], key: str, p: float
 ) -> list[FoldChoice]:
-    """Returns the choices for one effect or set of effects. `p`: the probability of this effect or set."""
+    """Returns the forms of one effect or set of effects, as choices for the folds. `p`: the probability of this effect or set."""
     if key in exact:
         return whole_choices(weighing, key, by_id[key].effect, exact[key], p)
     if key in found.sets:

@@ -364,12 +364,12 @@ def _with_something_else(
 def _as_named(
     logs: Mapping[str, float], named: Mapping[str, float], more: Mapping[str, float], walk: str
 ) -> dict[str, float]:
-    """Divides the probability of effects among the sets as in `named` (log shares), and adds the hypotheses with something else;
-    returns log weights.
+    """Divides the total probability of the effects among the sets of effects, in the proportions that `named` states (log shares).
+    Also adds the hypotheses in which something else acts in addition to a set. Returns log weights.
 
-    `more`: log weights of sets of effects in combination with something else. If such a set is one of the probable sets, its log
-    weight is divided among all probable sets of the same size, in proportion to `named`. Sets with a random walk (`walk`) are
-    excluded, because a random walk explains the same part of the gap as something else.
+    `more`: log weights of sets of effects in combination with something else. If such a set is one of the probable sets, the weight
+    of the combination is divided among all probable sets of the same size, in proportion to `named`. Sets with a random walk
+    (`walk`) are excluded, because a random walk explains the same part of the gap as something else.
     """
     whole = float(np.logaddexp.reduce([value for name, value in logs.items() if name not in PRIORS]))
     made = {name: value for name, value in logs.items() if name in PRIORS}

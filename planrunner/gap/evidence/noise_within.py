@@ -342,8 +342,9 @@ def _leakage(turns: Array, count: float) -> Array:
     matrix contains this part for each band (second index) and each other band (first index). `turns`: array of shape (3, B), edges
     and centres of the bands, rad per sample.
 
-    A vector of the transform with the frequency θ contains other frequencies ω with the density
-    sin²(ω/2)·cos²(θ/2)/(n·(sin²(ω/2) − sin²(θ/2))²), averaged over the phase of the ends of the segment.
+    A basis vector of the transform with the frequency θ also responds to other frequencies ω. With n = `count`, the squared
+    response is sin²(ω/2)·cos²(θ/2)/(n·(sin²(ω/2) − sin²(θ/2))²), averaged over the phase difference n·ω between the ends of the
+    segment.
     """
     low, high, centre = turns
     power = np.sin(centre / 2) ** 2

@@ -2,11 +2,11 @@
 occasion (one switch-on of the device), and everything that all runs have in common (the type of device, the plan, the site, the
 declarations).
 
-The estimate in run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, where e_r ~ N(0, s_r²) is known from the
-fit of the run. The parts of one kind of source, such as those of all devices, are independent draws from N(0, σ²); each kind has
-its own σ. The model is a random-effects model (Searle, Casella and McCulloch, Variance Components, 1992, chapters 3 and 9). The
-common part c has a σ as well. The common part has no flat prior, because zero is a special value: with zero, the run agrees with
-the simulation.
+The estimate in run r is y_r = b[bench of r] + d[device of r] + o[occasion of r] + c + e_r, where e_r ~ N(0, s_r²). The standard
+uncertainty s_r is known from the fit of the run. The parts of one kind of source, such as those of all devices, are independent
+draws from N(0, σ²); each kind has its own σ. The model is a random-effects model (Searle, Casella and McCulloch, Variance
+Components, 1992, chapters 3 and 9). The common part c has a σ as well. The common part has no flat prior, because zero is a special
+value: if c = 0, the runs have no common deviation from the simulation.
 
 The hypotheses are all subsets of the sources, including the empty set. For given σ, the evidence is Gaussian:
 
@@ -108,7 +108,8 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Uncertain:
-    """A value with its uncertainty: the half-width of an interval about the value that has the probability `COVERAGE`."""
+    """A value with its uncertainty. `expanded`: half-width of the interval about `value`; the interval has the probability
+    `COVERAGE`."""
 
     value: float
     expanded: float

@@ -123,8 +123,8 @@ def _curved(weighing: Weighing, effect: Curved, usable: list[Weighed], log_bayes
     linear approximation: at given amplitudes, the sum of the columns, each multiplied by its amplitude, is exactly the effect. The
     secants are computed again until the amplitudes no longer change. They have as many parameters as the linear approximation. They
     are therefore used even if they explain the data no better, and rejected only if they explain the data clearly worse. `usable`:
-    the evaluated form of the effect. `log_bayes`: array of shape (G,), its log Bayes factor. Both are returned, improved if
-    possible."""
+    the evaluated form of the effect. `log_bayes`: array of shape (G,), its log Bayes factor. Returns both for the last secants that
+    were not rejected; unchanged if the first secants were rejected."""
     least = float(log_bayes.max()) - WORSE
     for _ in range(_SETTLING):
         (best,) = usable
@@ -445,8 +445,8 @@ def on_others(
     """Finds the shape of an effect that acts on the whole output: on the nominal output and on the changes by other effects.
     Returns None if no shape explains the data.
 
-    `form`: a form of the effect from which the search starts. `columns`: P columns of the other effects, with samples.
-    `amplitudes`: array of shape (P,), amplitudes of these columns, in units of `Column.magnitude`."""
+    `form`: a form of the effect from which the search starts. `columns`: P columns of the other effects; their `parts` contain the
+    samples. `amplitudes`: array of shape (P,), amplitudes of these columns, in units of `Column.magnitude`."""
     short, of_others = weighing.condensed(columns)
     beneath = short.with_known(of_others, amplitudes)
     forms = whole_forms(beneath, effect, form, of_others)

@@ -90,8 +90,8 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
 
 
 def _event(patterns: _Patterns, channels: list[Left]) -> float:
-    """Returns the log Bayes factor of a single offset of a few seconds in the coefficients, or 0 if no offset is more probable. A run
-    without windows has no such offset; a burst can still be an event."""
+    """Returns the log Bayes factor of a single offset of a few seconds in the coefficients; 0 if the data do not favour such an
+    offset, or if the run has no windows. A burst, which is an event outside the coefficients, is evaluated separately."""
     return max(float(log_mean_exp(patterns.short_offsets.weighed(patterns.scopes, channels)[1], 0)), 0.0)
 
 

@@ -87,8 +87,8 @@ class FrameLayout:
 
     `fields`: position of each number, by channel. `units`: unit of each channel. `counts`: position of the counter, None if there
     is none. `latency`: position of the latency in the frame; its `scale` converts the latency to seconds. `means`: channels that
-    are computed as the mean of other channels, each with the names of these other channels. `zeros`: offset that is added to a
-    channel.
+    are computed as the mean of other channels, each with the names of these other channels. `zeros`: for each of the named
+    channels, the offset that is added to it.
     """
 
     framing: Framing

@@ -140,8 +140,8 @@ class Spinning:
 @dataclass(frozen=True, slots=True)
 class Rocking:
     """A motion in which joints rock sinusoidally about `angles`. At the time `steady`, the sines have the phases `phases`. The
-    rocking fades in during the period before `steady`. It fades out during the period after `steady` + `duration`, so that no joint
-    jumps."""
+    rocking fades in during one rocking period before `steady`. It fades out during one rocking period after `steady` + `duration`,
+    so that no joint jumps."""
 
     kind: ClassVar[str] = "rocking"
     steady: float

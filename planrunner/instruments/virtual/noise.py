@@ -184,9 +184,9 @@ class PulseCounter:
 
 @dataclass(frozen=True, slots=True)
 class Readout:
-    """Converts the level of one output to readings, as its electronics do. White noise of the standard deviation `sigma` is added
-    to each sample. The sample is then rounded to counts of the size `resolution` (0 for no rounding) and limited to
-    ±`full_scale`."""
+    """Converts the values of one output to readings, as the electronics of the sensor do. White noise of the standard deviation
+    `sigma` is added to each sample. The sample is then rounded to counts of the size `resolution` (0 for no rounding) and limited
+    to ±`full_scale`."""
 
     sigma: float
     resolution: float = 0.0

@@ -156,7 +156,7 @@ def control_charts(values: Sequence[float], u: Sequence[float], baseline: int = 
 
 def charts_about(x: Array, u: Array, centre: Centre) -> ControlCharts | None:
     """Returns all charts of the values x (n,) with the standard uncertainties u (n,) about a given centre line. The result is None
-    if there are no limits."""
+    if a value has the uncertainty 0 and `centre.between` is 0, because there are then no limits for this value."""
     sigma = np.sqrt(u**2 + centre.between**2)
     if not (sigma > 0).all():
         return None
