@@ -11,7 +11,7 @@ NAME = ".lock"
 
 
 class FolderLock:
-    """Locks a folder exclusively, from creation to `release`.
+    """Locks a folder exclusively, from the creation of this object until `release` is called.
 
     Raises `InputError` if another process, or another writer of this process, holds the lock. Raises `OSError` if the lock file
     cannot be opened.

@@ -6,8 +6,8 @@ xᵀM⁻¹x is not larger than p for any candidate x. The multiplicative algorit
 changes the fractions by w_i ← w_i·d_i/p, which increases |M| in every step. The search is completed by steps of Fedorov and Wynn
 (Todd & Yıldırım 2007): towards the candidate with the largest d, and away from the candidate with the smallest d. The excess of max
 d over p is a certificate for the design ξ that was found: by the inequality of arithmetic and geometric means, |M(η)| ≤ |M(ξ)|·(max
-d/p)^p for every other design η. A linear criterion is tr(W·M⁻¹); with W = 1 it is criterion A. In the formulas for a linear
-criterion, xᵀM⁻¹WM⁻¹x replaces d, tr(W·M⁻¹) replaces p, and the step is w_i ← w_i·√(d_i/p).
+d/p)^p for every other design η. A linear criterion is tr(W·M⁻¹); if W is the identity matrix, it is criterion A. In the formulas
+for a linear criterion, xᵀM⁻¹WM⁻¹x replaces d, tr(W·M⁻¹) replaces p, and the step is w_i ← w_i·√(d_i/p).
 """
 
 from __future__ import annotations

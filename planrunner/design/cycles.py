@@ -79,8 +79,8 @@ class FoundCycle:
 class StudiedCycle:
     """One cycle of a design study.
 
-    `cycle`: the cycle, with the plan's positive sense of rotation. `moves`: the moves as a plan writes them. `drive`: ratio of the
-    growth of the Schuler oscillation with this cycle to the growth without rotation.
+    `cycle`: the cycle; its angles are positive in the sense of rotation that is positive in the plan. `moves`: the moves as a plan
+    writes them. `drive`: ratio of the growth of the Schuler oscillation with this cycle to the growth without rotation.
     """
 
     cycle: RotationCycle

@@ -92,7 +92,7 @@ def merit(rows: Array, region: Array, weights: Array | None = None, fixed: Array
 
 
 def efficiency(of: Merit, reference: Merit) -> Efficiency:
-    """Returns the efficiencies of a set relative to another set with the same number of terms, one for each criterion."""
+    """Returns, for each criterion, the efficiency of a set relative to another set with the same number of terms."""
     share = of.observations / reference.observations
     root = (of.determinant / reference.determinant) ** (1 / of.terms) if reference.determinant > 0 else math.nan
     return Efficiency(

@@ -32,8 +32,8 @@ def sensor_channels(sensor: SensorModel) -> tuple[Channel, ...]:
 
 
 def everything(site: Site, channels: Sequence[Channel], rate: float) -> Observed:
-    """Returns a sample schedule with everything that an effect may need: several orientations, a constant rate, rocking, and
-    changes of temperature."""
+    """Returns an example of a schedule with everything that an effect may need: several orientations, a constant rate, rocking, and
+    changes of temperature, supply voltage and ambient pressure."""
     places = [np.eye(3), np.roll(np.eye(3), 1, 0), np.roll(np.eye(3), 2, 0), np.diag([1.0, -1.0, -1.0])]
     spin, rock = Spin(np.radians(100.0)), Rock(np.radians(5.0), 1.0, (0.0,), 10.0)
     motions: list[Motion] = [Rest(), Rest(), Rest(), Rest(), spin, rock]

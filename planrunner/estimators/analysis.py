@@ -294,8 +294,8 @@ def _coarse(recorded: RecordedSegment, channel: str, noise: NoiseModel) -> bool:
 def _carried(segments: Sequence[RecordedSegment], channel: str) -> bool:
     """Returns True if the rounding errors of a channel with coarse counts seem to be carried over from sample to sample. Carried
     rounding errors average out. For this test, the variance of the batch means is divided by the variance that independent samples
-    would cause. The ratio is averaged over all segments. With a count q and white noise σ below q/√12, the ratio is below 1/3 in
-    long batches if errors are carried over. The ratio is 1 if each sample is rounded independently."""
+    would cause. The ratio is averaged over all segments. If errors are carried over and the white noise σ is below q/√12, where q
+    is one count, the ratio is below 1/3 for long batches. The ratio is 1 if each sample is rounded independently."""
     ratios, freedoms = [], []
     for one in segments:
         if channel not in one.units or not one.statistics.batches > 1 or not _changes(one, channel):

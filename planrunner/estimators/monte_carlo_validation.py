@@ -1,13 +1,13 @@
 """Compares an estimate's intervals with Monte Carlo draws, if the plan requests this (`validate: monte_carlo`).
 
-An estimator may have the following method, which computes coefficients from draws of its data and of the declared inputs, including
-all nonlinearity:
+An estimator may have the following method. It computes coefficients, without linear approximation, from draws of the data and of
+the declared inputs:
 
     def chain(self, request: EstimateRequest[MyParameters], estimate: Estimate) -> Draws
 
 Without this method, the draws are computed from the covariance and the sensitivities of the estimate. Such draws test the
-distributions and the effective degrees of freedom, but not the linearity. Worker processes share the draws, so the function that
-makes the draws must support pickling.
+distributions and the effective degrees of freedom, but not the linearity. The draws are divided among worker processes; therefore,
+the function that makes the draws must support pickling.
 """
 
 from __future__ import annotations

@@ -141,8 +141,9 @@ class FineAlignment:
         self._largest = max(self._largest, *map(abs, innovation.tolist()))
 
     def _follow(self, kept: Array, transition: Array, interval: int) -> None:
-        """After a measurement, updates the errors that remain because of sensor errors in the interval with the index `interval`.
-        The initial states of the alignment do not contain these sensor errors, so the responses to them start at zero."""
+        """After a measurement, updates the responses of the remaining errors to constant sensor errors in each interval.
+        `interval`: index of the present interval. The initial states of the alignment do not contain these sensor errors;
+        therefore, the responses start at zero."""
         while len(self._left) <= interval:
             self._left.append(np.zeros((_ALL, INPUTS)))
             self._passed.append(_UNCHANGED)

@@ -3,7 +3,7 @@
 A state consists of the orientation, the motion, the temperature, the readings that must settle before the segment records, and the
 readings that must stay within limits while it records.
 
-The key `for_each` states sweeps over states. Several swept keys give all combinations of their values, in which the first key
+The key `for_each` declares sweeps over states. Several swept keys give all combinations of their values, in which the first key
 changes slowest.
 
 for_each: {rate: "±300, ±150 deg/s"}                    + then − for each
@@ -18,7 +18,7 @@ one rule:
 - any other quantity has a sign only below zero, as engineers usually write it (`20degC`, `-40degC`);
 - zero has no sign (`R0`).
 
-An alternative would be signs only in sweeps that contain both signs. This alternative was rejected because it would rename
+Alternatively, labels could have signs only in sweeps that contain both signs. This alternative was rejected because it would rename
 segments: `20degC` would be renamed when -40 degC is added, and `R+10` would become `R10` when a design splits a sweep into one
 sweep for each rate.
 """

@@ -111,7 +111,7 @@ class StatedWithdrawal:
 
 @dataclass(frozen=True, slots=True)
 class DamagedApproval:
-    """A file that does not have the form of an approval of planrunner."""
+    """A file that is not in the format in which planrunner writes approvals."""
 
     file: str
     why: str

@@ -172,7 +172,8 @@ def sign_run(
 def signatures_of(
     folder: GuardedFolder, ring: KeyRing | None = None, bench: BenchSigning | None = None
 ) -> tuple[RunSignature, ...]:
-    """Returns all signatures of a run in the order of their numbers, each checked against the key ring and the present files.
+    """Returns all signatures of a run in the order of their numbers, each checked against the key ring and against the files as
+    they are now.
 
     `bench`: what the run states about the signatures of its bench; by default, this is read from the run folder. Raises `OSError`
     if a file cannot be read.

@@ -111,13 +111,13 @@ def resume(
 
     `bench`: the name of a shipped bench, or a file, that replaces the bench file in the run folder. The new bench file may differ
     from the replaced file only in the addresses of instruments. A bench file names the devices to connect to. Therefore, `bench` is
-    required for a folder that was not made on this computer. `bench` is not required if `trust_bench` permits the use of the bench
-    file in the folder. `override`: a decision to continue although the check standard of the bench is not in control; the state of
-    the check standard is determined again. An override with which the run began remains valid. `approvals`: a plan file; approvals
-    that were given after the run began are read from the folder of this file. The journal records the approvals that are used.
+    required for a folder that was not made on this computer, unless `trust_bench` permits the use of the bench file in the folder.
+    `override`: a decision to continue although the check standard of the bench is not in control; the state of the check standard
+    is determined again. An override with which the run began remains valid. `approvals`: a plan file; approvals that were given
+    after the run began are read from the folder of this file. The journal records the approvals that are used.
 
-    The folder is locked first, then the bench, and only then are instruments connected. If two processes try to resume the same
-    run, the second is refused before it connects to an instrument.
+    The function first locks the folder, then locks the bench, and then connects the instruments. If two processes try to resume the
+    same run, the second is refused before it connects to an instrument.
     """
     folder = open_run(run)  # no lock is left in what is no run folder
     lock = _lock(folder)

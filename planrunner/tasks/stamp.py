@@ -1,5 +1,5 @@
-"""Adds time stamps to runs. Makes the object that obtains time stamps for a bench, and stamps a seal when the seal is written, or
-later."""
+"""Adds time stamps to runs. `stamper_of` makes the object that obtains time stamps for a bench. `after_sealing` stamps a seal
+immediately after it is written, and `stamp_run` stamps it later."""
 
 from __future__ import annotations
 

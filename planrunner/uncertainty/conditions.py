@@ -88,7 +88,7 @@ def influences_on_several(
 
 def slopes(formula: Callable[[C], Array], moved: Iterable[Moved[C]], step: float) -> list[Array]:
     """Returns the derivative of a formula's results with respect to each change of its conditions. A derivative has the shape of
-    the results. The formula is evaluated twice for each change, with the change ± `step`."""
+    the results. For each change, the formula is evaluated twice: with a change by +`step` and with a change by −`step`."""
     return [central(_after(one, formula), step) for one in moved]
 
 

@@ -246,9 +246,9 @@ OutsideKind = Literal["white", "resolution", "random walk", "gauss-markov", "lin
 @runtime_checkable
 class OutsideCoefficients(Effect, Protocol):
     """Describes an effect that does not appear in the coefficients (means, slow changes and harmonics of segments) to which a
-    diagnosis reduces a recording. Such an effect is an effect on the noise, a line interference, or samples that repeat their
-    values. A diagnosis searches for such an effect outside the coefficients. An effect with the stage covariance has no columns at
-    all. A line interference does have columns, but only a simulation uses them."""
+    diagnosis reduces a recording. Such an effect changes the noise, adds a line interference, or makes samples repeat earlier
+    values. A diagnosis searches for such an effect outside the coefficients. An effect whose `stage` is covariance has no columns
+    at all. A line interference does have columns, but only a simulation uses them."""
 
     outside: OutsideKind
 
@@ -318,8 +318,8 @@ class CurvedAndShaped(HasShape, Protocol):
     """An effect that has a shape, and that is proportional to its amplitudes only while they are small."""
 
     def secant(self, amplitudes: Array) -> Shaped:
-        """Returns the effect for given `amplitudes` (SI), which need not be small. At these amplitudes, the sum of its columns,
-        each multiplied by its amplitude, is exactly the effect."""
+        """Returns a form of the effect that is exact at the given `amplitudes` (SI), which need not be small. At these amplitudes,
+        the effect equals the sum of the columns of this form, each multiplied by its amplitude."""
 
 
 @runtime_checkable
@@ -376,7 +376,8 @@ def ways_of(effect: Effect) -> Sequence[Effect]:
 
 @runtime_checkable
 class ShapedOverSegments(HasShape, Protocol):
-    """An effect that lasts longer than a segment, so that the means of segments determine its single shape parameter."""
+    """An effect with one shape parameter. The effect lasts longer than a segment; therefore, the means of segments determine this
+    parameter."""
 
     over_segments: Literal[True]
 

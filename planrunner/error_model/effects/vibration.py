@@ -1,4 +1,4 @@
-"""Effects of vibration rectification: an oscillation shifts the bias in proportion to its mean square."""
+"""Effects of vibration rectification: an oscillation shifts the bias in proportion to the mean square of the oscillation."""
 
 from __future__ import annotations
 

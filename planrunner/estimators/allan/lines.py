@@ -129,7 +129,8 @@ def _waves(turn: float, n: int) -> Array:
 
 
 def largest(lines: Sequence[SpectralLine], count: int) -> tuple[SpectralLine, ...]:
-    """Returns the largest lines with different frequencies (a line of several runs counts once)."""
+    """Returns the first `count` lines with different frequencies. `lines`: lines of all runs, the largest first. Lines whose
+    frequencies differ by less than 1 %, such as the same disturbance in several runs, count as one line."""
     found: list[SpectralLine] = []
     for line in lines:
         if not any(abs(line.frequency / one.frequency - 1) < 0.01 for one in found):

@@ -148,8 +148,8 @@ def _rotation(reference: Response, values: Array) -> Array:
 
 
 def _turned(one: Response, values: Array, rotation: Array) -> Array:
-    """Transforms the responses `values` (3, p, n), to rates and to specific forces, to another frame. `rotation`: array of shape
-    (3, 3, n), the rotation from the old frame to the new one."""
+    """Transforms responses to another frame: the responses to rates and the responses to specific forces in `values` (3, p, n).
+    `rotation`: array of shape (3, 3, n), the rotation from the old frame to the new one."""
     turned = np.array(values)
     for places in (one.places("rate"), one.places("accel")):
         if places:

@@ -199,8 +199,8 @@ def _runs(dynamic: bool, state: str, axis: str) -> Said:
 
 
 def _differs(difference: Array, stated: float, level: float) -> bool:
-    """Returns True if the mean of n differences deviates significantly from zero (Student's t-test). The uncertainty of the mean
-    includes `stated`."""
+    """Returns True if the mean of n differences deviates significantly from zero (Student's t-test). `stated`: a standard
+    uncertainty that is added in quadrature to the standard uncertainty of the mean. `level`: level of significance."""
     from scipy.special import stdtrit
 
     count = len(difference)

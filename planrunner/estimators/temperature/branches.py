@@ -85,9 +85,9 @@ class Difference:
 
 
 def difference_of(temperature: Array, direction: Integers, highest: int, width: float, left: int) -> Difference | None:
-    """Returns the form of D: a polynomial of the order `highest`, or of a lower order if there are few temperatures. The result is
-    None if fewer than two temperatures were reached in both directions. The form does not depend on the measured values. Therefore,
-    the choice of the form does not add to the uncertainty of D.
+    """Returns the form of D(T), the width of the hysteresis loop. The form is a polynomial of the order `highest`, or of a lower
+    order if there are few temperatures. The result is None if fewer than two temperatures were reached in both directions. The form
+    does not depend on the measured values. Therefore, the choice of the form does not add to the uncertainty of D.
 
     `width`: temperatures that differ by no more than this count as one temperature, K. `left`: the largest number of coefficients
     that the number of values allows.

@@ -266,9 +266,9 @@ class _Ramp:
 
 
 def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: float, intervals: int) -> list[_Ramp]:
-    """Returns the branches of a segment, found in one pass over its samples. Sums are stored for each bin and each short piece of
-    the segment. The mean temperatures of these pieces determine the branches. `width`: width of a temperature bin, K. `intervals`:
-    number of intervals of equal length into which the segment is divided."""
+    """Returns the branches of a segment, found in one pass over its samples. In this pass, sums over the samples are stored for
+    each temperature bin within each short piece of the segment. The mean temperatures of these pieces determine the branches.
+    `width`: width of a temperature bin, K. `intervals`: number of intervals of equal length into which the segment is divided."""
     try:
         scale = unit(recorded.units[thermometer])
     except UnknownUnitError as error:

@@ -305,8 +305,8 @@ def _model(points: Points, parameters: TemperatureModelParameters) -> Modelled:
 
 
 def _beside(points: Points, difference: Difference | None, drift: Sequence[DriftCourse]) -> Array:
-    """Returns the columns that are fitted together with a curve, for the difference between the directions and for the drift, shape
-    (n, q)."""
+    """Returns the columns for the difference between the directions and for the drift, shape (n, q). These columns are fitted
+    together with a curve."""
     parts = [np.zeros((len(points.value), 0)), *(one.columns for one in drift)]
     if difference is not None:
         parts.insert(0, difference.columns(points.temperature, points.direction))

@@ -269,7 +269,8 @@ def _closure(
     named: str,
     said: Verdict,
 ) -> Closure:
-    """Returns the closure, or the reason why there is none."""
+    """Returns the result of the check on held-out data. If `noise` is None, the result contains only the reason why the check was
+    not made."""
     if noise is None:
         return not_measured(NotMeasured.RANDOM if said.effects else NotMeasured.NO_EFFECT)
     return closure(weighing, noise, choices, beyond, named)

@@ -124,9 +124,10 @@ def expected_probability(rivals: Sequence[Rival], information: Array) -> float:
 
 
 def _averaged(rivals: Sequence[Rival], evidence: Array, measure: Callable[[Array], Array]) -> Array:
-    """Averages a function of the posterior odds against the true rival. The average covers the rivals and the random log evidence.
-    `evidence`: array of shape (…, R, R), expected log evidence of each rival against each other rival. The result has the shape
-    (…). `measure`: function that is averaged; its argument is the odds against the true rival."""
+    """Averages a function of the posterior odds against the true rival. Each rival in turn is assumed to be the true one, and is
+    weighted by its probability. For each, the average is also taken over the random log evidence. `evidence`: array of shape (…, R,
+    R), expected log evidence of each rival against each other rival. The result has the shape (…). `measure`: function that is
+    averaged; its argument is the odds against the true rival."""
     share = np.array([rival.probability for rival in rivals])
     share = share / share.sum()
     total = np.zeros(evidence.shape[:-2])

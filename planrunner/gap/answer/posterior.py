@@ -251,8 +251,8 @@ def _of_noise(
 
 
 def _whatever_noise(noise: _NoiseOnly, size: int, count: int) -> float:
-    """Returns the amount that is added to the log weight of a cause of `size` effects. This amount allows for noise that differs
-    from the declared noise. `count`: number of effects that the plan can excite."""
+    """Returns the amount that is added to the log weight of a cause that consists of `size` effects. This amount allows for noise
+    that differs from the declared noise. `count`: number of effects that the plan can excite."""
     return float(np.logaddexp.reduce(list(_states_beside(noise, size, count).values())))
 
 

@@ -70,8 +70,9 @@ class Setting:
 
 
 def settings_of(observed: Observed, slow: SlowNoise, means: Array, kind: str) -> tuple[Setting, ...]:
-    """Lists the settings of the noise of a triad. Random walks are included only for gyros. If flicker is declared, different
-    factors of its level are included. `means`: array of shape (S, K) in SI², variances of the segment means without slow noise."""
+    """Lists the settings of the noise of a triad. Random walks are included only for gyros. If flicker is declared, the settings
+    multiply its declared level by several factors. `means`: array of shape (S, K) in SI², variances of the segment means without
+    slow noise."""
     members = observed.of_kind(kind)
     if not members:
         return (Setting(0.0, 0.0, 1.0),)

@@ -13,12 +13,12 @@ The hypotheses are all subsets of the sources, including the empty set. For give
     log p(y | σ) = −½ (n·log 2π + log det V + yᵀ V⁻¹ y),    V = S + Z G Zᵀ
 
 Z assigns the runs to their groups, and the diagonal matrix G contains the variances σ² of the parts. The diagonal matrix S contains
-the variances s². If each run forms its own group for a source, the σ² of this source is added to S instead. With M = I + G^½
-ZᵀS⁻¹Z G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹y − cᵀG^½ M⁻¹ G^½c, where c = ZᵀS⁻¹y (matrix inversion lemma). Each
-σ has a log-uniform prior. Each σ is integrated out on a grid, which is finer where the evidence is large.
+the variances s². If each run forms its own group for a source, the σ² of this source is added to S instead. With M = I + G^½ ZᵀS⁻¹Z
+G^½, log det V = log det S + log det M and yᵀV⁻¹y = yᵀS⁻¹y − hᵀG^½ M⁻¹ G^½h, where h = ZᵀS⁻¹y (matrix inversion lemma). Each σ has a
+log-uniform prior. Each σ is integrated out on a grid, which is finer where the evidence is large.
 
-Sources that group the runs in the same way cannot be distinguished, for example one device on one bench, or devices with one run
-each. Such sources form one component.
+Sources that group the runs in the same way cannot be distinguished. Examples are the device and the bench if only one device was
+tested on only one bench, or the device and the occasion if each device has only one run. Such sources form one component.
 
 In array shapes, n is the number of runs, C is the number of components, P is the number of points of the grid, Q is the number of
 points with a noticeable weight, and m is the number of parts (groups) of a component.
@@ -250,7 +250,7 @@ class _Model:
         self._limits = 0.5 * np.log(energies / float((1 / self._variance).sum()))
 
     def _weighed(self, spreads: Array) -> tuple[Array, Array, Array, Array]:
-        """Returns the arrays S (P, n), G^½ (P, g), M (P, g, g) and G^½c (P, g) of the formulas in the module docstring. `spreads`:
+        """Returns the arrays S (P, n), G^½ (P, g), M (P, g, g) and G^½h (P, g) of the formulas in the module docstring. `spreads`:
         array of shape (P, C), P sets of the standard deviations σ of the C chosen components. g counts the groups of these
         components, except those of a component in which each run forms its own group."""
         s = np.broadcast_to(self._variance, (len(spreads), len(self._y)))

@@ -184,7 +184,7 @@ class Candidate:
         return {channel: np.hstack([item.by_channel[channel] for item in self.variants]) for channel in self.acting}
 
     def stacked_at(self, weighing: Weighing, setting: int) -> dict[int, Array]:
-        """Returns the same as `stacked`, at any setting of the noise."""
+        """Returns the same columns as `stacked`, but at the setting of the noise with the index `setting`."""
         if setting == 0:
             return self.stacked
         return {
@@ -534,8 +534,8 @@ class Weighing:
         return tuple(int(np.argmax(self.base + prior)) for prior in self.log_prior if np.isfinite(prior).any())
 
     def likeliest_with(self, log_bayes: Array, walking: bool) -> int:
-        """Returns the index of the most probable setting of the noise if a hypothesis is true. Settings with a random walk of the
-        gyros are compared if `walking` is True, and settings without one if it is False. `log_bayes`: array of shape (G,), log
+        """Returns the index of the setting of the noise that is most probable under a hypothesis. Settings with a random walk of
+        the gyros are compared if `walking` is True, and settings without one if it is False. `log_bayes`: array of shape (G,), log
         Bayes factor of the hypothesis."""
         terms = self.base + self.log_prior[int(walking)] + np.where(np.isfinite(log_bayes), log_bayes, -1e300)
         return int(np.argmax(terms))

@@ -343,9 +343,9 @@ def _summed(values: Array) -> Array:
 
 
 def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: int) -> _Windows | None:
-    """Divides every segment at rest or turning into whole windows of `size` samples. The first window starts at the sample `begin`
-    of the segment. Returns None if there are too few usable windows. `within`: for each basis, the cumulative sums of its
-    vectors."""
+    """Divides every segment in which the table rests or turns at a constant rate into windows of `size` samples; samples that do
+    not fill a window are not used. The first window starts at the sample `begin` of the segment. Returns None if there are too few
+    usable windows. `within`: for each basis, the cumulative sums of its vectors."""
     observed, spectrum = weighing.observed, weighing.spectrum
     starts, lasting, kept = [], [], []
     known: dict[int, Array] = {}

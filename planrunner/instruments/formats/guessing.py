@@ -233,8 +233,8 @@ _JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\[\s*[{\[]|\{\s*\"|\[[-+.\d\s,eE]*\
 
 
 def guessed_format(path: Path, name: str) -> Format | None:
-    """Guesses the format of a file; None if the extension of the file name determines it. Raises `InstrumentError` if no guess can
-    be made."""
+    """Guesses the format of a file. The result is None if the extension of the file name determines the format. Raises
+    `InstrumentError` if no guess can be made."""
     kind = usual_format(path)
     if kind == "excel":
         return _sheet_of_samples(path, name)

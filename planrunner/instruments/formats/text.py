@@ -242,8 +242,8 @@ class TextFile(FormatFile[TextKeys]):
         return None
 
     def _line_of(self, row: int) -> int | None:
-        """Returns the number of the line that contains a row; None if it cannot be counted. Lines with a wrong number of columns do
-        not count as rows."""
+        """Returns the number of the line that contains a row; None if the lines cannot be read or if there are too few rows. Lines
+        with a wrong number of columns do not count as rows."""
         layout = self.parameters
         with contextlib.suppress(OSError, UnicodeDecodeError, csv.Error), self._lines() as lines:
             reader = csv.reader(lines, delimiter=layout.delimiter)
