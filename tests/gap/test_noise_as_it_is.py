@@ -248,13 +248,14 @@ def test_noise_with_many_small_values_holds_no_bursts() -> None:
     assert max(evidence) < 3
 
 
-@pytest.mark.parametrize("response", [(1.0, 0.7, 0.4), (1.0, 1.0)])
-def test_smoothed_noise_holds_no_bursts(response: tuple[float, ...]) -> None:
-    """Successive samples of such noise are alike, so the energies of its windows scatter more than those of white noise."""
+@pytest.mark.parametrize("response", [(1.0, 0.7, 0.4), (1.0, 1.0), (1.0, -0.97)])
+def test_filtered_noise_holds_no_bursts(response: tuple[float, ...]) -> None:
+    """Successive samples of smoothed noise are alike, so the energies of its windows scatter more than those of white noise. Those of
+    differenced noise cancel, except at the ends of a segment."""
 
-    def smoothed(observed: Observed, draw: np.random.Generator) -> Array:
+    def filtered(observed: Observed, draw: np.random.Generator) -> Array:
         samples = draw.standard_normal(observed.values.shape)
         return np.asarray(lfilter(np.array(response) / np.linalg.norm(response), [1.0], samples, axis=0))
 
-    evidence = [float(outside(Weighing(noisy(smoothed, None, seed))).log_bayes[BURSTS].max()) for seed in range(20, 28)]
+    evidence = [float(outside(Weighing(noisy(filtered, None, seed))).log_bayes[BURSTS].max()) for seed in range(20, 28)]
     assert max(evidence) < PLAIN

@@ -189,9 +189,11 @@ class NoiseWithin:
         return np.asarray(np.exp(np.stack(logs, axis=-1)))
 
     def whitened(self, segment: int, samples: Array, half: float) -> Array:
-        """Returns the samples (n, K) of a segment with the same variance at all frequencies. Each coefficient of the cosine
-        transform is divided by the square root of the spectrum of all segments with the same kind of motion. The bands of the
-        segment itself are not used, because a burst raises them. `half`: half of the sampling rate of the samples, Hz."""
+        """Returns the samples (n, K) of a segment after the noise at low frequencies, where it exceeds the noise at all higher
+        frequencies, has been reduced to it. The coefficients of the cosine transform are divided by the square root of the spectrum
+        that `_falling` returns. Low frequencies with less noise are not amplified, because the ends of a segment and slow changes
+        of the noise would then look like bursts. The bands of the segment itself are not used, because a burst raises them.
+        `half`: half of the sampling rate of the samples, Hz."""
         from scipy.fft import dct, idct
 
         kind = int(self.moving[segment])
@@ -199,9 +201,16 @@ class NoiseWithin:
         found = samples.copy()
         if len(channels):
             frequency = np.arange(len(samples)) * half / len(samples)
-            root = np.sqrt(self.of_kind(kind, frequency)[:, channels])
+            root = np.sqrt(_falling(self.of_kind(kind, frequency)[:, channels]))
             found[:, channels] = idct(dct(samples[:, channels], norm="ortho", axis=0) / root, norm="ortho", axis=0)
         return found
+
+    @property
+    def inefficiency(self) -> Array:
+        """Returns, for each channel, the number of whitened samples (`whitened`) divided by the degrees of freedom of a sum of their
+        squares, shape (K,). This factor exceeds 1 if the whitened noise is still coloured."""
+        left = self.spectrum / np.array([_falling(one) for one in self.spectrum])
+        return np.asarray((self.weight @ left**2 * self.weight.sum() / (self.weight @ left) ** 2).max(0))
 
     def _relative(self, segment: int, frequency: Array) -> Array:
         """Returns the spectrum of a segment, without its level, at frequencies (n,) [Hz], shape (n, K). The spectrum is constant
@@ -362,6 +371,11 @@ def _without_leakage(seen: Array, leakage: Array) -> Array:
     for _ in range(_LEAKAGE_ROUNDS):
         found = np.maximum(found * seen / (found + leakage @ found), _KEPT * seen)
     return found
+
+
+def _falling(spectrum: Array) -> Array:
+    """Returns the smallest spectrum (n, K) that does not increase with the frequency and is nowhere smaller than `spectrum` (n, K)."""
+    return np.asarray(np.maximum.accumulate(spectrum[::-1], axis=0)[::-1])
 
 
 def _relative_to_upper(energy: Array, count: Array, upper: NDArray[np.bool_]) -> Array:

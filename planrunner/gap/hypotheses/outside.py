@@ -289,7 +289,7 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, 
     observed, found = weighing.observed, []
     sums = _Sums.of(weighing)
     within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
-    overdispersion = np.maximum(_of_short_windows(weighing, sums, within), 1.0)
+    overdispersion = np.maximum(weighing.noise.inefficiency, _of_short_windows(weighing, sums, within))
     for length in LENGTHS:
         size = round(length * observed.sample_rate / float(observed.bin_size.max()))
         for begin in (0, size // 2):
