@@ -19,12 +19,15 @@ import numpy as np
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.arrays import Array
 from planrunner.base.said import Said, said
-from planrunner.instruments.models import SensorModel
+from planrunner.error_model.observed import axis_of
+from planrunner.instruments.models import OutputModel, SensorModel
 from planrunner.observation.screening import varies
+from planrunner.plan.schedule import Rest, Spin
 
 _END = 2  # parts at an end that are compared with the line
 _LEFT_OUT = 2  # parts between them and the inner parts
 _FEWEST = 5  # segments
+_ALONG = np.cos(np.radians(0.1))  # smallest cosine of the angle between the axes of an output and of the rotation
 _CHANCE = 1e-5
 """Probability that noise alone gives a warning about one end of the segments of one output."""
 
@@ -33,12 +36,13 @@ def transient_words(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
 ) -> tuple[Said, ...]:
     """Warns of each output that has a transient in common at the beginning or at the end of the segments. `channels`: the channels
-    to check; if empty, all outputs of the sensor. Only segments at rest or at a constant rate are used."""
+    to check; if empty, all outputs of the sensor. Only segments in which the input of the output is constant are used. The element
+    of a stabilised platform drifts while the platform rests, so its inputs are not constant."""
     words = []
-    for output in sensor.outputs:
+    for output in () if sensor.stabilised else sensor.outputs:
         if not varies(output) or (channels and output.name not in channels):
             continue
-        having = [one for one in segments if output.name in one.parts]
+        having = [one for one in segments if output.name in one.parts and _constant(one, output)]
         if len(having) < _FEWEST:
             continue
         means = np.array([one.parts[output.name] for one in having])
@@ -72,6 +76,18 @@ def transient_words(
                 )
             )
     return tuple(words)
+
+
+def _constant(segment: RecordedSegment, output: OutputModel) -> bool:
+    """Returns True if the input of an output is constant: at rest, or if the sensor turns about the axis of the output. A sensor that
+    turns about another axis also turns relative to the Earth rate and to gravity."""
+    motion, attitude = segment.segment.motion, segment.segment.attitude
+    if isinstance(motion, Rest):
+        return True
+    axis = axis_of(output.name)
+    if axis is None or attitude is None or not isinstance(motion, Spin):
+        return False
+    return abs(float(np.asarray(attitude)[axis] @ np.asarray(motion.about))) > _ALONG
 
 
 def _transient(means: Array) -> tuple[Array, float]:

@@ -23,16 +23,18 @@ Array = np.ndarray
 Change = Callable[[Array, Array], Array]
 
 
-def estimated(change: Change, seed: int = 1, drift: float = 0.0) -> Estimate:
+def estimated(
+    change: Change, seed: int = 1, drift: float = 0.0, about: tuple[float, float, float] = (0.0, 0.0, 1.0)
+) -> Estimate:
     """A gyro of 200 (pulse/s)/(deg/s), 30 s at each rate with noise of 0.5 pulse/s. `change`: of the outputs without noise, as a
-    function of the outputs and of the time since the beginning of the segment, s. drift: pulse/s²."""
+    function of the outputs and of the time since the beginning of the segment, s. drift: pulse/s². about: axis of the turns."""
     draw = np.random.default_rng(seed)
     recording: list[RecordedSegment] = []
     for number, rate in enumerate(RATES):
         time = np.arange(3000) / 100
         values = change(np.full(3000, 200.0 * rate + 3.0), time) + 0.5 * draw.standard_normal(3000)
         values += drift * (40.0 * number + time)
-        planned = segment(f"R{number}", np.eye(3), Spin(math.radians(rate), (0.0, 0.0, 1.0)), 30.0)
+        planned = segment(f"R{number}", np.eye(3), Spin(math.radians(rate), about), 30.0)
         recording.append(from_samples(planned, 40.0 * number + time, {"gyro_z": values}, {"gyro_z": "pulse/s"}))
     spec = EstimateSpec(estimator="scale_factor", parameters=ScaleFactorParameters(outputs=("gyro_z",)))
     results = analyse({"k": spec}, (), recording, SITE, sensor("gyro_z"))
@@ -77,3 +79,9 @@ def test_a_transient_of_one_segment_is_not_called_common() -> None:
         return x * np.clip(t / 3, 0, 1) if x[0] > 200 * 30 else x
 
     assert not named(estimated(once))
+
+
+def test_outputs_across_the_axis_of_the_turns_are_not_tested() -> None:
+    """They follow the Earth rate and gravity, with the same course in every segment that makes one turn from the same angle."""
+    tilt = math.radians(30)
+    assert not named(estimated(SPOILT[0][1], about=(math.sin(tilt), 0.0, math.cos(tilt))))

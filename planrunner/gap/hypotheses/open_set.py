@@ -325,7 +325,7 @@ class Repeating:
         """Returns one item for each number n in `counts`: the eigenvalues (F, n) and the squared scores (F, n) of the first n
         columns at each of F frequencies. `waves`: the columns that `waves` returns. They are whitened in parts, because whitening needs
         several times the memory of its columns."""
-        parts = np.array_split(waves, -(-waves[:, :, :, 0].size // _AT_ONCE), axis=1)
+        parts = np.array_split(waves, min(-(-waves[:, :, :, 0].size // _AT_ONCE), waves.shape[1]), axis=1)
         each = [self._of_part(left, part, counts) for part in parts]
         return [
             (np.concatenate([a for a, _ in one]), np.concatenate([b for _, b in one]))
