@@ -87,7 +87,7 @@ def _constant(segment: RecordedSegment, output: OutputModel) -> bool:
     axis = axis_of(output.name)
     if axis is None or attitude is None or not isinstance(motion, Spin):
         return False
-    return abs(float(np.asarray(attitude)[axis] @ np.asarray(motion.about))) > _ALONG
+    return bool(abs(np.asarray(attitude)[axis] @ np.asarray(motion.about)) > _ALONG)
 
 
 def _transient(means: Array) -> tuple[Array, float]:
