@@ -106,7 +106,7 @@ def test_an_effect_that_is_no_hypothesis_can_be_given() -> None:
 
 def test_a_step_is_refused_by_an_estimate_and_hysteresis_is_not() -> None:
     step, loop = (plugins.load(plugins.EFFECTS, name)() for name in ("gyro_bias_step", "accel_thermal_hysteresis"))
-    assert "its shape (time)" in estimable(step) and not estimable(loop)
+    assert "its shape parameter (time)" in estimable(step) and not estimable(loop)
 
 
 def test_hysteresis_of_accelerometers_follows_the_last_change() -> None:
