@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from enum import StrEnum
 from typing import Protocol
 
@@ -163,6 +163,10 @@ class RecordedSegment:
     summary: bool = False
     repeats: Mapping[str, RepeatedValues] = field(default_factory=dict)
     parts: Mapping[str, Array] = field(default_factory=dict)
+
+    def watched(self, watcher: Watcher) -> RecordedSegment:
+        """Returns the segment with the results of a watcher that has seen all its samples."""
+        return replace(self, finds=watcher.finds(), repeats=watcher.repeats(), parts=watcher.parts())
 
     @property
     def label(self) -> str:

@@ -8,7 +8,7 @@ recording.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -176,9 +176,7 @@ class RunReader:
             watcher = None if watch is None else watch(segment, units, rows)
             statistics = statistics_of(blocks, tuple(units), rows, watcher, segment.motion)
             made = RecordedSegment(segment, units, statistics, read, item.truncated, readings)
-            if watcher is not None:
-                made = replace(made, finds=watcher.finds(), repeats=watcher.repeats(), parts=watcher.parts())
-            segments.append(made)
+            segments.append(made if watcher is None else made.watched(watcher))
         return tuple(segments)
 
     def blocks(self, item: Acknowledged, channels: Sequence[str] | None = None) -> Iterator[Block]:

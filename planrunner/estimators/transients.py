@@ -27,7 +27,9 @@ from planrunner.plan.schedule import Rest, Spin
 _END = 2  # parts at an end that are compared with the line
 _LEFT_OUT = 2  # parts between them and the inner parts
 _FEWEST = 5  # segments
-_ALONG = np.cos(np.radians(0.1))  # smallest cosine of the angle between the axes of an output and of the rotation
+_ALONG = (
+    1 - 1e-9
+)  # smallest cosine of the planned angle between the axes of an output and of the rotation; 1 but for rounding
 _CHANCE = 1e-5
 """Probability that noise alone gives a warning about one end of the segments of one output."""
 

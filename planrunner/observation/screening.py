@@ -116,7 +116,7 @@ def _screened(item: RecordedSegment, watch: WatcherOf) -> RecordedSegment:
     watcher = watch(item.segment, item.units, item.statistics.count + item.statistics.rejected)
     for block in item.blocks(tuple(item.units)):
         watcher.add(block)
-    return replace(item, finds=watcher.finds(), repeats=watcher.repeats(), parts=watcher.parts())
+    return item.watched(watcher)
 
 
 _STANDING = (DIMENSIONS["temperature"], DIMENSIONS["angle"])

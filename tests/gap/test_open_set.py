@@ -201,8 +201,20 @@ def test_waves_are_whitened_in_parts() -> None:
         np.testing.assert_allclose(found[1].sum(1), expected[1].sum(1), rtol=1e-6)
 
 
+def test_a_part_of_the_waves_contains_at_least_one_period(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a run of thousands of segments, a single wave is larger than a part may be."""
+    weighing = Weighing(record(seed=1))
+    repeating, left = Repeating(weighing), Left.whole(weighing.weights[0][0])
+    waves = repeating.waves(repeating.frequencies[:3], 4)
+    monkeypatch.setattr("planrunner.gap.hypotheses.open_set._AT_ONCE", 1)
+    for found, expected in zip(
+        repeating._eigen(left, waves, (2, 8)), repeating._of_part(left, waves, (2, 8)), strict=True
+    ):
+        np.testing.assert_allclose(found[1].sum(1), expected[1].sum(1), rtol=1e-9)
+
+
 def test_a_segment_that_the_fit_absorbs_holds_no_deviation() -> None:
-    """Nothing but rounding errors remains of the means if every segment has a bias of its own."""
+    """If every segment has its own bias, only rounding errors remain in the means."""
     weighing = Weighing(record())
     channels = [Left.whole(weighing.weights_at(weighing.likeliest[0], index)) for index in range(6)]
     means = weighing.spectrum.means

@@ -16,9 +16,9 @@ from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import competitors, look_alike
-from planrunner.gap.hypotheses.outside import BURSTS, _here_and_there, scopes_of, whole_and_largest
+from planrunner.gap.hypotheses.outside import BURSTS, _here_and_there, scopes_of
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
-from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets, _windows
+from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets, _windows, whole_and_largest
 from planrunner.plan.schedule import RecordedMotion, Rest, Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Fault, kept, record
 

@@ -184,9 +184,7 @@ class NoiseWithin:
     def of_kind(self, kind: int, frequency: Array | float) -> Array:
         """Returns the spectrum at rest (kind 0) or in motion (kind 1) at one frequency, shape (K,), or at several frequencies (n,),
         shape (n, K), in Hz. The result does not contain the levels of segments."""
-        place = np.log(np.maximum(frequency, self.lowest))
-        logs = [np.interp(place, np.log(self.frequency), one) for one in np.log(self.spectrum[kind]).T]
-        return np.asarray(np.exp(np.stack(logs, axis=-1)))
+        return self._between(self.spectrum[kind], frequency)
 
     def whitened(self, segment: int, samples: Array, half: float) -> Array:
         """Returns the samples (n, K) of a segment after the noise at low frequencies, where it exceeds the noise at all higher
@@ -220,9 +218,14 @@ class NoiseWithin:
     def _of_kind(self, spectra: Array, kind: int, segment: int, frequency: Array) -> Array:
         """Returns the values (n, K) of `spectrum` or `density` at frequencies (n,), as measured at rest (kind 0) or in motion (kind
         1). `spectra`: `spectrum` or `density`. `segment`: index of the segment whose attribute `own` applies."""
-        place = np.log(np.maximum(frequency, self.frequency[0]))
-        logs = np.log(spectra[kind] * self.own[segment])
-        return np.asarray(np.exp(np.column_stack([np.interp(place, np.log(self.frequency), one) for one in logs.T])))
+        return self._between(spectra[kind] * self.own[segment], frequency)
+
+    def _between(self, bands: Array, frequency: Array | float) -> Array:
+        """Interpolates the values `bands` (B, K) linearly in logarithms at one frequency, shape (K,), or at several frequencies (n,),
+        shape (n, K). The values are constant beyond the outermost bands."""
+        place = np.log(np.maximum(frequency, self.lowest))
+        logs = [np.interp(place, np.log(self.frequency), one) for one in np.log(bands).T]
+        return np.asarray(np.exp(np.stack(logs, axis=-1)))
 
 
 def noise_within(observed: Observed, spectrum: Spectrum, white: Array, left: Array) -> NoiseWithin:

@@ -317,7 +317,8 @@ def _only_noise(weighing: Weighing, effect: Shaped, shape: float, values: Sequen
     of each channel for `shape`."""
     caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(weighing.seen(values), shape).columns)
     rest = sum(weighing.misfits(values, [raw.sum(axis=1) for raw in caused]))
-    degrees = float(weighing.spectrum.values.size - sum(len(own) for own in values))
+    fitted = sum(len(own) for own in values) + sum(one.shape[1] for one in weighing.angles)
+    degrees = float(weighing.spectrum.values.size - fitted)
     return bool(rest <= degrees + _SCATTERED * np.sqrt(2 * degrees))
 
 
@@ -326,8 +327,8 @@ def _beside(
 ) -> tuple[float, _Found]:
     """Evaluates shapes between `shape` and the next shapes of the grid, then shapes near the best of these shapes. Each shape is
     evaluated with the nominal parameters that fit best; the fit starts from the parameters of the neighbouring shape. Returns the
-    evidence of the best shape, and this shape. `values`: parameters (q,) of each channel for `shape`. `columns`: the same as in
-    `moving`."""
+    evidence of the best shape, and this shape. The shape is not refined further, because the nominal parameters beside a limit
+    belong to this shape alone. `values`: parameters (q,) of each channel for `shape`. `columns`: the same as in `moving`."""
     grid = np.log(effect.grid(weighing.observed))
     place, known = float(np.log(shape)), dict[float, tuple[float, Sequence[Array]]]()
     ends = [*grid[grid < place][-1:].tolist(), *grid[grid > place][:1].tolist()]

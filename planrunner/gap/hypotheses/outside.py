@@ -304,8 +304,9 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, 
 @dataclass(frozen=True)
 class _Sums:
     """Contains cumulative sums over the samples of a run, in units of the noise, each of shape (N + 1, K). `samples`: sums of the
-    samples. `white`, `squares`: sums of the whitened samples (`NoiseWithin.whitened`), and of their squares. Energies of whitened
-    samples have the same distribution as energies of white noise, so correlated noise does not look like bursts."""
+    samples. `white`, `squares`: sums of the whitened samples (`NoiseWithin.whitened`), and of their squares. Otherwise, the energies
+    of smoothed noise would scatter like those of bursts.
+    """
 
     samples: Array
     white: Array
@@ -435,8 +436,3 @@ def _here_and_there(windows: Array, most: int) -> Array:
     sums = _summed(windows)
     lasting = [log_mean_exp((sums[n:] - sums[:-n]).ravel(), 0) for n in range(1, min(most, len(windows)) + 1)]
     return np.array([log_mean_exp(np.concatenate(each), 0), log_mean_exp(np.array(lasting), 0)])
-
-
-def whole_and_largest(gains: Array) -> Array:
-    """Returns the sum of the gains (W, …) of events and the largest gain, shape (2, …). The gains are not negative."""
-    return np.array([gains.sum(0), gains.max(0, initial=0.0)])

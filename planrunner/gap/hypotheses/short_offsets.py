@@ -11,9 +11,9 @@ windows. It is therefore a lower limit of the evidence of all possible choices. 
 also stated separately.
 
 
-A window acts only on the m coefficients of its own segment. The products of whitened windows with each other therefore follow from
-the m × m products of the whitened coefficients of a segment, and the products with a column y follow from Wᵀ·y, where W is the
-whitening matrix. Whitened windows are never stored.
+A window acts only on the m coefficients of its own segment. Therefore, whitened windows are never stored: the products of two of
+them follow from the m × m products of the whitened coefficients of a segment, and their products with a column y follow from Gᵀ·y,
+where G is the whitening matrix.
 
 In array shapes, S is the number of segments, M of coefficients of a channel, m of coefficients of a segment, W of windows, and q of
 basis vectors.
@@ -32,7 +32,7 @@ from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean_exp
 from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.outside import CHANCES, KEPT, LENGTHS, whole_and_largest
+from planrunner.gap.hypotheses.outside import CHANCES, KEPT, LENGTHS
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 
 SHORT_OFFSETS = Pattern("offset for a few seconds", Sort.SEVERAL, Factor.TIME)
@@ -199,6 +199,11 @@ def _evidence(windows: _Windows, parts: Sequence[_Channel]) -> Array:
         more = np.maximum(np.array(gains) + _odds(chance), 0.0)
         total.append(windows.count * np.log1p(-chance) + whole_and_largest(more))
     return np.asarray(log_mean_exp(np.array(total), 0))
+
+
+def whole_and_largest(gains: Array) -> Array:
+    """Returns the sum of the gains (W, …) of events and the largest gain, shape (2, …). The gains are not negative."""
+    return np.array([gains.sum(0), gains.max(0, initial=0.0)])
 
 
 def _odds(chance: float) -> float:
