@@ -15,7 +15,7 @@ _BEGINNING = """\
 # Effects: who acts, and what to do
 
 `python -m planrunner.error_model.reference docs` writes this page from the classes of the effects. `planrunner diagnose` names effects
-of this list, and states who acts and what to do. It replaces the words in italics by the values that it found. `planrunner simulate
+of this list, and states who acts and what to do. In its output, the values that it found replace the words in italics. `planrunner simulate
 --with EFFECT` adds an effect to a simulation, and the estimator [`error_model`](error-models.md) fits its parameters.
 
 Effects marked with † are used in simulations and estimates only. The diagnosis considers them only if you name them with `--given`. It
@@ -24,9 +24,9 @@ pressure varies.
 """
 ACTORS = {
     Actor.BENCH: "the operator of the table, the chamber, the mounting and their synchronisation",
-    Actor.SENSOR: "the maker of the unit, or the person who compensates its outputs",
+    Actor.SENSOR: "the manufacturer of the unit, or the person who compensates its outputs",
     Actor.PLAN: "the author of the plan, who chooses its states and times",
-    Actor.SITE: "the person who declares the place of the bench on the Earth",
+    Actor.SITE: "the person who declares the location of the bench on the Earth",
     Actor.BOOKKEEPING: "the author of the files, who declares labels, units, signs and noise",
 }
 

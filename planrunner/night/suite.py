@@ -103,7 +103,7 @@ class SuiteBench(Record):
     )
     window: NightWindow | None = optional(
         RecordOf(NightWindow),
-        "Hours in which this bench may work, in addition to those of the suite.",
+        "Hours in which this bench may work. A test on this bench must fit into these hours and into the hours of the suite.",
         {"from": "20:00", "to": "23:30"},
     )
 
@@ -166,13 +166,13 @@ class SuitePlan(Record):
     )
     after: tuple[str, ...] = key(
         ListOf(Text(NAME, "a plan's name"), single=True),
-        "Plans of the suite that must have ended before this one, whatever their result.",
+        "Plans of the suite that must have ended before this plan begins, whatever their result.",
         "drift",
         default_factory=tuple,
     )
     needs: tuple[str, ...] = key(
         ListOf(Text(NAME, "a plan's name"), single=True),
-        "Plans of the suite that must have passed; otherwise this one does not run.",
+        "Plans of the suite that must have passed; otherwise this plan does not run.",
         "drift",
         default_factory=tuple,
     )
@@ -242,13 +242,13 @@ class NightDiagnosis(Record):
 
     recent: int = key(
         Number(4, 400, integer=True),
-        "Largest number of runs of each plan that are diagnosed together: those of the night and the newest before them.",
+        "Largest number of runs of each plan that are diagnosed together: the runs of the night, and the newest earlier runs.",
         60,
         default=40,
     )
     within: Quantity = key(
         QuantityOf("time", "positive"),
-        "Runs older than this are not used.",
+        "Runs older than this time are not used.",
         "90 d",
         default=parse_quantity("1440 h"),
     )

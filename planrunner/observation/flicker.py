@@ -30,8 +30,8 @@ def drift_span() -> Quantity:
     """Makes the plan key for the time span. A constant is defined as the average over this span."""
     span: Quantity = key(
         QuantityOf("time", "positive"),
-        "A reported constant is the mean over this time span. The span is at least as long as the test, and the test is in its middle. "
-        "The span affects the uncertainties only if a bias instability is declared.",
+        "A reported constant is the mean over this time span. The span is at least as long as the test, and the test is in the "
+        "middle of it. The span affects the uncertainties only if a bias instability is declared.",
         "24 h",
         default=SPAN,
     )

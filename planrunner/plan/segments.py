@@ -121,7 +121,7 @@ class WatchSpec(Tolerated):
     doubts: str = key(
         Choice(("limit", "note")),
         "Treatment of samples that the instrument marks as doubtful (status bits). `limit`: they count as an exceeded limit; "
-        "`note`: they are only noted.",
+        "`note`: they are only reported in the journal.",
         "note",
         default="limit",
     )
@@ -175,8 +175,9 @@ class RockSpec(Record):
 
 
 class RecordedSpec(Record):
-    """Channels of the recording that show a motion that was not commanded, for example of a hand-held sensor, a vehicle, or a jig
-    without a drive. One of angle, attitude and rates gives the rotation."""
+    """Channels of the recording that show a motion that was not commanded, for example of a hand-held sensor or a vehicle.
+
+    One of angle, attitude and rates gives the rotation."""
 
     angle: str | None = optional(
         CHANNEL,
@@ -185,20 +186,20 @@ class RecordedSpec(Record):
     )
     attitude: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=4, maximum=4),
-        "Unit quaternion that takes vectors from the sensor's axes to East-North-Up, real part first.",
+        "Unit quaternion that converts vectors from the sensor's axes to East-North-Up, real part first.",
         ["q_w", "q_x", "q_y", "q_z"],
         default_factory=tuple,
     )
     rates: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=3, maximum=3),
-        "Gyros that show the rotation about the sensor's x, y and z: of a reference, or the sensor's own.",
+        "Gyros of a reference, or of the sensor itself, that show the rotation about the sensor's x, y and z axes.",
         ["reference_gyro_x", "reference_gyro_y", "reference_gyro_z"],
         default_factory=tuple,
     )
     forces: tuple[str, ...] = key(
         ListOf(CHANNEL, minimum=3, maximum=3),
-        "Accelerometers that show the specific force along the sensor's x, y and z. Without them, it is computed from gravity and the "
-        "attitude.",
+        "Accelerometers that show the specific force along the sensor's x, y and z axes. Without this key, the "
+        "specific force is computed from gravity and the attitude.",
         ["reference_accel_x", "reference_accel_y", "reference_accel_z"],
         default_factory=tuple,
     )
@@ -285,7 +286,7 @@ class Turns(Record):
     turns: int | None = optional(Number(1, 1_000_000, integer=True), "Record for this many whole turns.", 1)
     cycles: int | None = optional(Number(1, 1_000_000, integer=True), "Record for this many whole cycles.", 34)
     at_least: Quantity | None = optional(
-        QuantityOf("time", "positive"), "Add whole turns or cycles until the dwell lasts this long.", "30 s"
+        QuantityOf("time", "positive"), "Add whole turns or cycles until the dwell lasts at least this long.", "30 s"
     )
 
 
@@ -369,15 +370,14 @@ class State(Record):
     )
     supply_voltage: Quantity | None = optional(
         QuantityOf("voltage", "positive"),
-        "Voltage that supplies the sensor. A person sets it, not a driver: ask for it with `prompt`. Virtual sensors follow it.",
+        "Voltage that supplies the sensor. A person sets it, not a driver: ask for it with `prompt`. Virtual sensors respond to it.",
         "5 V",
         traits=StateTraits(swept=True, decisive=True, sweep_example="4.5, 5, 5.5 V"),
     )
     ambient_pressure: Quantity | None = optional(
         QuantityOf("pressure", "positive"),
         "Absolute pressure of the air around the sensor. A person sets it, not a driver: ask for it with "
-        "`prompt`. Virtual sensors "
-        "follow it.",
+        "`prompt`. Virtual sensors respond to it.",
         "900 hPa",
         traits=StateTraits(swept=True, decisive=True, sweep_example="200, 600, 1000 hPa"),
     )

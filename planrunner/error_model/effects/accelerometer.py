@@ -205,7 +205,7 @@ class AccelQuantization:
         "accelerometer counts are coarser than declared",
         "The output of the accelerometers is rounded to multiples of a count that is larger than the bench file declares.",
         Actor.BOOKKEEPING,
-        "Correct the resolution in the bench file, or set a finer output of the sensor: {found}.",
+        "Correct the resolution in the bench file, or set a finer resolution in the sensor: {found}.",
     )
 
     def variants(self, observed: Observed) -> list[Variant]:

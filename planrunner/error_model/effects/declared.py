@@ -111,7 +111,7 @@ class UnitWrong:
     of_declaration: Literal[True] = True
     about = About(
         "unit of a channel is wrong",
-        "The values of a channel are in another unit than the bench file declares, or a constant factor is missing.",
+        "The unit of the values of a channel differs from the unit in the bench file, or a constant factor is missing.",
         Actor.BOOKKEEPING,
         "Correct the `unit` or `per_unit` of the channel in the bench file: {found}.",
     )

@@ -32,7 +32,7 @@ class GyroBandwidth(Shaped):
         "gyro output lags behind the rate",
         "A low-pass filter of first order attenuates and delays the output of the gyros when the rate changes.",
         Actor.SENSOR,
-        "Raise the bandwidth of the gyros (it is {bandwidth}), or rock at {frequency} or slower, so that the phase lag is "
+        "Raise the bandwidth of the gyros (now {bandwidth}), or rock at {frequency} or slower, so that the phase lag is "
         "below 1 deg: {found}.",
         _frequencies,
     )
@@ -310,7 +310,7 @@ class GyroQuantization:
         "gyro counts are coarser than declared",
         "The output of the gyros is rounded to multiples of a count that is larger than the bench file declares.",
         Actor.BOOKKEEPING,
-        "Correct the resolution in the bench file, or set a finer output of the sensor: {found}.",
+        "Correct the resolution in the bench file, or set a finer resolution in the sensor: {found}.",
     )
 
     def variants(self, observed: Observed) -> list[Variant]:

@@ -80,7 +80,7 @@ class SiteLatitude:
     id, stage = "site_latitude", "stimulus"
     about = About(
         "latitude of the site is wrong",
-        "The simulation computes the rotation of the Earth for another latitude than the true one.",
+        "The simulation computes the rotation of the Earth for a latitude that is not the true one.",
         Actor.SITE,
         "Add the error to the latitude of the site in the bench file: {found}.",
     )

@@ -48,7 +48,7 @@ class TableTilt:
     about = About(
         "table is not level",
         "The base of the table is tilted, so gravity and the rotation of the Earth act on the sensor from "
-        "other directions than planned.",
+        "directions that were not planned.",
         Actor.BENCH,
         "Level the table: {found}.",
     )
@@ -68,8 +68,8 @@ class TableAzimuth:
     id, stage = "table_azimuth", "stimulus"
     about = About(
         "north of the table is not true north",
-        "The table is turned about the vertical, so the rotation of the Earth acts on the sensor from other "
-        "directions than planned.",
+        "The table is turned about the vertical, so the rotation of the Earth acts on the sensor from "
+        "directions that were not planned.",
         Actor.BENCH,
         "Align the table with north, or correct the azimuth of the site in the bench file: {found}.",
     )
@@ -198,7 +198,7 @@ class TableRateError:
 
     id, stage = "table_rate_error", "stimulus"
     about = About(
-        "table turns at another rate than commanded",
+        "table turns at the wrong rate",
         "The true rate of the table differs from the commanded rate by a constant factor.",
         Actor.BENCH,
         "Calibrate the rate of the table, or record its angle: {found}.",

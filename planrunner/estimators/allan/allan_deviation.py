@@ -97,7 +97,7 @@ class AllanDeviationParameters(Record):
     scale_factors: dict[str, Quantity | str] = key(
         MapOf(ScaleFactorKind()),
         "Scale factor of an output that is not a rate or acceleration: a quantity, or a coefficient of an estimate in "
-        "`uses`. The noise coefficients are then those of the rate or acceleration.",
+        "`uses`. The noise coefficients then refer to the rate or acceleration.",
         {"torquer_x": "0.2012 (deg/h)/(pulse/s)", "torquer_y": "drift.SF_X"},
         default_factory=dict,
     )

@@ -106,7 +106,7 @@ class StrapdownNavigationParameters(Record):
     )
     gravity: str = key(
         Choice(("site", "wgs84")),
-        "Gravity: `site` is the value of the site, varied with latitude and height like normal gravity; `wgs84` is normal gravity.",
+        "Gravity: `site` is the value at the site, which changes with latitude and height like normal gravity; `wgs84` is normal gravity.",
         "wgs84",
         default="site",
     )

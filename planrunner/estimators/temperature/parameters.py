@@ -53,7 +53,8 @@ class TemperatureModelParameters(Record):
     highest_order: int = key(Number(1, 12, integer=True), "Highest order to try.", 4, default=4)
     folds: int = key(
         Number(0, 100, integer=True),
-        "Number of ranges into which the temperatures are divided. Each range is left out in turn; with 0, each temperature.",
+        "Number of ranges into which the temperatures are divided. Each range is left out in turn; with 0, each temperature is left out "
+        "in turn.",
         5,
         default=0,
     )
