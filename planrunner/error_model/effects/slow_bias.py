@@ -57,8 +57,8 @@ class _GaussMarkov:
 def _about(triad: str) -> About:
     return About(
         f"{triad} bias varies with a correlation time",
-        f"The bias of each {triad} varies at random about its mean. Values that are several correlation times apart are "
-        "practically independent.",
+        f"The bias of each {triad} varies at random about its mean, and values that are several correlation times apart "
+        "are practically independent.",
         Actor.SENSOR,
         "Record for several correlation times, or repeat readings at rest within a fraction of this time: {found}.",
     )
