@@ -39,7 +39,7 @@ COMMANDS = {
     "pause": "pause a run before its next segment, with the bench in the safe state",
     "serve": "show the running runs of an archive on a page in the browser, where prompts are answered",
     "watch": "show the running runs of an archive on the terminal",
-    "site": "write a site of an archive, with runs, devices, benches and coefficients over time, that opens without a server",
+    "site": "write a website about an archive (runs, devices, benches, coefficients over time) that opens without a server",
     "estimate": "estimate again from a recording, as a new analysis",
     "amend": "evaluate a run again for a stated reason, as a new analysis that names the person and the analysis it amends",
     "report": "write the reports of an analysis again",

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--yes", action="store_true", help="sign without asking at the terminal")
     parser.add_argument(
-        "--no-predictions", action="store_true", help="compare with the last approved version by meaning only"
+        "--no-predictions", action="store_true", help="compare only the meaning with that of the last approved version"
     )
     parser.add_argument(
         "--withdraw", action="store_true", help="withdraw all approvals of this plan that your key has given"

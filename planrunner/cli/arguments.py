@@ -71,9 +71,9 @@ def add_workers(parser: argparse.ArgumentParser, jobs: str) -> None:
         "--scheduler",
         metavar="ADDRESS",
         type=scheduler,
-        help=f"compute on the Dask cluster of this scheduler, such as tcp://10.0.0.5:8786; {HERE}: on one process per processor of this "
-        "machine. The results are the same to the last digit. The cluster and this computer can run programs on each other: give only an "
-        "address that you trust",
+        help=f"compute on the Dask cluster of this scheduler, such as tcp://10.0.0.5:8786. With the word `{HERE}`, compute on this "
+        "machine, with one process per processor. The results are the same to the last digit. The cluster and this computer can run "
+        "programs on each other: give only an address that you trust",
     )
 
 

@@ -98,11 +98,13 @@ def _show(closed: Closed, found: JsonObject) -> None:
     console = terminal.console()
     for number, one in enumerate(closed.rounds, start=1):
         for item in one.made.advice():
-            console.print(f"Round {number}: {item.name} ({item.effect}). Who acts: {item.actor.value}.", style="bold")
+            console.print(
+                f"Round {number}: {item.name} ({item.effect}). Where to correct: {item.actor.value}.", style="bold"
+            )
             console.print(f"  {item.remedy}")
         before, after = one.comparison.before_sigma, one.comparison.after_sigma
         console.print(
-            f"  The gap was {before:.3g} standard deviations of the noise without effects; it is {after:.3g} now."
+            f"  Without the added effects, the gap was {before:.3g} standard deviations of the noise; it is now {after:.3g}."
         )
     if closed.rounds:
         console.print(terminal.data_table(diagnosis_page.comparison(found)))

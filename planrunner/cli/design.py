@@ -45,21 +45,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--time",
         metavar="DURATION",
-        help="total time of the plan, such as '45 min': distribute the dwell times within it",
+        help="total time of the plan, such as '45 min'; the dwell times are distributed so that the plan takes this time",
     )
     parser.add_argument("--output", metavar="NAME", help="design for this output, if the outputs have different terms")
     parser.add_argument(
         "--orientations",
         choices=("free", "cardinal", "planned"),
         default="free",
-        help="set to write into the plan (default: free)",
+        help="set of orientations to write into the plan (default: free)",
     )
-    parser.add_argument("--restarts", type=int, default=8, help="seeded starts of the free search (default: 8)")
+    parser.add_argument(
+        "--restarts", type=int, default=8, help="number of starting points of the free search (default: 8)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the search (default: 0)")
     parser.add_argument(
         "--rates",
         action="store_true",
-        help="design the rates of a sweep (default: if an estimate fits a line over rates)",
+        help="design the rates of a sweep (done by default if an estimate fits a line over rates)",
     )
     parser.add_argument(
         "--line-only",
@@ -70,13 +72,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--segment",
         metavar="LABEL",
-        help="design this segment's cycle of turns and stops (default: if no estimate has positions that can be designed)",
+        help="design this segment's cycle of turns and stops (by default, a cycle is designed if no estimate has positions that can be "
+        "designed)",
     )
     parser.add_argument(
         "--order",
         choices=("free", "same"),
         default="free",
-        help="cycle to write into the plan: with a free order of stops, or with the same order (default: free)",
+        help="cycle to write into the plan: with any order of the stops (free), or with the planned order (same; default: free)",
     )
     parser.add_argument("--write", metavar="FILE", type=Path, help="write the plan with the chosen design")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with pictures before and after")

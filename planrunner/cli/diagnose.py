@@ -89,7 +89,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write the plan that would resolve the remaining ambiguity (default: next to the page, if there is one)",
     )
     parser.add_argument(
-        "--write-plan", metavar="FILE", type=Path, help="write the plan with an estimate of the named effects"
+        "--write-plan",
+        metavar="FILE",
+        type=Path,
+        help="write the plan with an additional estimate of the named effects",
     )
     parser.add_argument(
         "--write-bench", metavar="FILE", type=Path, help="write a virtual bench with the named effects as found"

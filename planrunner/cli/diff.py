@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--no-predictions",
         action="store_true",
-        help="compare the meaning only; consequences take as long as `check` of both plans",
+        help="compare only the meaning, without the consequences (computing them takes as long as `check` of both plans)",
     )
     parser.add_argument(
         "--html", metavar="FILE", type=Path, help="write a page with both timelines and all changed orientations"

@@ -65,7 +65,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def add_heads(parser: argparse.ArgumentParser) -> None:
     """Adds the options --head and --keys."""
     parser.add_argument(
-        "--head", metavar="FILE", action="append", default=[], type=Path, help="tree head of the log that was kept"
+        "--head",
+        metavar="FILE",
+        action="append",
+        default=[],
+        type=Path,
+        help="file with a tree head that was printed earlier and kept",
     )
     parser.add_argument("--keys", metavar="RING", type=Path, help="key ring that signatures are verified with")
 

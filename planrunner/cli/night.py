@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         type=Path,
         default=Path("runs"),
-        help="archive: run folders are created in it, and the night in its folder nights (default: runs)",
+        help="archive that receives the run folders; the record of the night is stored in its folder `nights` (default: runs)",
     )
     parser.add_argument(
         "--new", action="store_true", help="begin a new night, even if an unfinished one can be continued"
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=os.environ.get("GITHUB_ACTIONS") == "true",
         help="print annotations for GitHub Actions (default: if the environment variable GITHUB_ACTIONS is true)",
     )
-    parser.add_argument("--quiet", action="store_true", help="print no line for each test")
+    parser.add_argument("--quiet", action="store_true", help="do not print a line for each test")
     parser.add_argument("--json", action="store_true", help="print the record of the night as JSON")
     add_workers(parser, "processes that share the checks of the plans (default: as many as make the checks faster)")
     add_at(parser)

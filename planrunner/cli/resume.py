@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--approvals",
         metavar="PLAN",
         type=Path,
-        help="also accept approvals that were given after the run began and that are next to this plan file",
+        help="also accept approvals that were given after the run began and are stored next to this plan file",
     )
     add_override(parser)
     add_run_arguments(parser)

@@ -70,10 +70,12 @@ def add_override(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--override-check-standard",
         metavar="REASON",
-        help="run although the check standard of the bench is not in control; the run keeps the reason (with --override-by)",
+        help="run although the check standard of the bench is not in control; the reason is stored in the run (with --override-by)",
     )
     parser.add_argument(
-        "--override-by", metavar="NAME", help="who decides this: a name in `may_override` of the bench file"
+        "--override-by",
+        metavar="NAME",
+        help="the person who decides to run: a name in `may_override` of the bench file",
     )
 
 

@@ -14,7 +14,7 @@ from planrunner.cli.printing import name_file, print_json, write_file
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN", help="plan file")
-    parser.add_argument("--bench", metavar="BENCH", help="show it on this bench: a shipped name or a file")
+    parser.add_argument("--bench", metavar="BENCH", help="show the plan on this bench: a shipped name or a file")
     parser.add_argument("--html", metavar="FILE", type=Path, help="write a page with a picture of every orientation")
     parser.add_argument("--json", action="store_true", help="print timeline and predicted uncertainties as JSON")
 

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="EFFECT[=VALUE]",
         action="append",
         default=[],
-        help="effect to add; may be repeated. EFFECT alone uses the natural size; EFFECT=VALUE sets its only "
+        help="effect to add; may be repeated. EFFECT alone uses the default size; EFFECT=VALUE sets its only "
         "parameter, or all its amplitudes; EFFECT=NAME:VALUE,NAME:VALUE sets these parameters and leaves the others "
         "at zero",
     )

@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--inject",
         metavar="FAULT",
-        help="declare a fault to a running simulated bench: '{instrument: table, fault: silent}'",
+        help="inject a fault into a running simulated bench: '{instrument: table, fault: silent}'",
     )
     parser.add_argument("--clear", metavar="NUMBER", help="end a fault of a running simulated bench, or `all` faults")
     parser.add_argument("--stop", action="store_true", help="end a running simulated bench")

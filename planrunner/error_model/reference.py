@@ -12,10 +12,10 @@ from planrunner.base import plugins
 from planrunner.error_model.effects.interface import Actor, Effect, NoHypothesis, about, effect_named
 
 _BEGINNING = """\
-# Effects: who acts, and what to do
+# Effects: where to correct, and what to do
 
 `python -m planrunner.error_model.reference docs` writes this page from the classes of the effects. `planrunner diagnose` names effects
-of this list, and states who acts and what to do. In its output, the values that it found replace the words in italics. `planrunner simulate
+of this list, and states where to correct and what to do. In its output, the values that it found replace the words in italics. `planrunner simulate
 --with EFFECT` adds an effect to a simulation, and the estimator [`error_model`](error-models.md) fits its parameters.
 
 Effects marked with † are used in simulations and estimates only. The diagnosis considers them only if you name them with `--given`. It
@@ -37,7 +37,7 @@ def reference() -> str:
     parts = [_BEGINNING]
     for actor, words in ACTORS.items():
         rows = [_row(effect) for effect in effects if about(effect).actor is actor]
-        parts.append(f"## Who acts: {actor.value}\n\nCorrections are made by {words}.\n")
+        parts.append(f"## Where to correct: {actor.value}\n\nCorrections are made by {words}.\n")
         parts.append("| effect | in plain words | physics | what to do |\n| --- | --- | --- | --- |\n" + "".join(rows))
     return "\n".join(parts)
 

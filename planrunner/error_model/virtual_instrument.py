@@ -55,7 +55,7 @@ class AddedEffectsParameters(Record):
 
     effects: dict[str, dict[str, str]] = key(
         MapOf(MapOf(Text(), pattern=r"[A-Za-z][A-Za-z0-9_]{0,59}"), pattern=NAME),
-        "Effects by name, each with its parameters in their units; a parameter that is not given has its natural "
+        "Effects by name, each with its parameters in their units; a parameter that is not given has its default "
         "size. `planrunner simulate --help` explains how to list them.",
         {"gyro_warm_up": {"tau": "600 s", "a_x": "0.01 deg/s"}},
     )

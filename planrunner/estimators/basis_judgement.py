@@ -156,17 +156,17 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
     if basis == "residual":
         pooled = counted(
             "Uncertainties are based on the residuals: {freedom} degree of freedom for each output, pooled over the "
-            "outputs, so the coverage factors are large.",
+            "outputs. The fewer degrees of freedom, the larger the coverage factors.",
             "Uncertainties are based on the residuals: {freedom} degrees of freedom for each output, pooled over the "
-            "outputs, so the coverage factors are large.",
+            "outputs. The fewer degrees of freedom, the larger the coverage factors.",
             count=fit.freedom,
             freedom=fit.freedom,
         )
         apart = counted(
-            "Uncertainties are based on the residuals: {freedom} degree of freedom for each output, so the coverage "
-            "factors are large.",
-            "Uncertainties are based on the residuals: {freedom} degrees of freedom for each output, so the coverage "
-            "factors are large.",
+            "Uncertainties are based on the residuals: {freedom} degree of freedom for each output. The fewer degrees of "
+            "freedom, the larger the coverage factors.",
+            "Uncertainties are based on the residuals: {freedom} degrees of freedom for each output. The fewer degrees of "
+            "freedom, the larger the coverage factors.",
             count=fit.freedom,
             freedom=fit.freedom,
         )

@@ -84,8 +84,8 @@ def planned_drift(request: DesignRequest[FittedWithDrift], blocks: Sequence[Desi
         message = f"in this order, {course} cannot be separated from the coefficients of {design.block.output}"
         return (Remark("physics-drift", message, _proposal(judged), "drift", error=not by_evidence, note=by_evidence),)
     message = (
-        f"in this order, {course} would be hard to distinguish from {term} of {design.block.output}: fitted together with the "
-        f"coefficients, it makes the standard uncertainty {largest:.2g} times as large"
+        f"in this order, {course} would be hard to distinguish from the term '{term}' of {design.block.output}: if the drift were "
+        f"fitted together with the coefficients, the standard uncertainty of this term would be {largest:.2g} times as large"
     )
     return (Remark("physics-drift", message, _proposal(judged), "drift", note=by_evidence),)
 

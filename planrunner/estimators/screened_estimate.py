@@ -68,7 +68,7 @@ def estimated(
     if rest:
         warnings.append(
             said(
-                "Screening also found the following, without leaving anything out: {finds}. Examine the recording.",
+                "Screening also found the following, but left out no samples: {finds}. Examine the recording.",
                 finds=_named(rest),
             )
         )

@@ -66,7 +66,9 @@ class StandardOverride(Record):
     """Permits tests on this bench to run although its check standard is not in control."""
 
     by: str = key(
-        Text(PERSON, "a person's name"), "Who decides this: a name in `may_override` of the bench file.", "anna"
+        Text(PERSON, "a person's name"),
+        "The person who decides that the tests run: a name in `may_override` of the bench file.",
+        "anna",
     )
     why: str = key(
         Text(LINE, "a reason"),

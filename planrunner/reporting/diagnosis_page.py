@@ -95,7 +95,7 @@ def named_effects(found: Data) -> list[Named]:
     open_ = "Most likely, but not certain: " if found["verdict"]["kind"] == "indistinguishable" else ""
     return [
         Named(
-            _capital(f"{open_}{one['name']} ({one['effect']}). Who acts: {one['actor']}."),
+            _capital(f"{open_}{one['name']} ({one['effect']}). Where to correct: {one['actor']}."),
             one["remedy"],
             one["physics"],
         )
@@ -232,12 +232,14 @@ def _remainder(residue: str | None, named: list[str]) -> str:
     if residue in named:
         others = listed([name for name in named if name != residue])
         return (
-            f" {residue} explains less than 5 % of the gap: either it is present but weak, or it is a form "
-            f"residue of {others}."
+            f" {residue} explains less than 5 % of the gap: either it is present but weak, or it only makes up for an "
+            f"error in the modelled form of {others} (form residue)."
         )
     if residue == "unknown":
         return " The rest comes from something that the catalogue does not contain."
-    return f" The contribution of {residue} is below 5 % and is treated as form residue."
+    return (
+        f" The contribution of {residue} is below 5 % and is treated as an error of the modelled form (form residue)."
+    )
 
 
 NOT_MEASURED = {

@@ -121,7 +121,7 @@ def notes(found: FoundRates) -> tuple[str, ...]:
             f"noise; the budgets in the estimate's report show the contributions."
         )
     said.append(
-        "For a straight line alone, all rates would be at the largest; interior rates determine asymmetry and "
+        "For a straight line alone, only the largest rates would be used; smaller rates determine asymmetry and "
         "nonlinearity, and the lowest rate determines threshold and resolution."
     )
     if found.excess > 1e-4:

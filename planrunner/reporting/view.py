@@ -253,6 +253,8 @@ def named(facts: Mapping[str, Json]) -> list[list[str]]:
 def readable(name: str) -> str:
     text = name.replace("_", " ")
     text = " ".join(_PROPER.get(word, word) for word in text.split())
+    if "." in text.split(" ", 1)[0]:  # the name of a file
+        return text
     return text[:1].upper() + text[1:]
 
 

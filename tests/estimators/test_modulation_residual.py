@@ -269,7 +269,7 @@ def test_short_records_are_compared_without_the_part_that_repeats() -> None:
         ((navigated("still", 0.1), replace(navigated("turned", 0.1), extra={})), "'turned' is not a navigation"),
         (
             (navigated("still", 0.1), navigated("elsewhere", 0.1)),
-            "`segments` lacks the segment that 'elsewhere' navigates",
+            "`segments` lacks the segment of the navigation 'elsewhere'",
         ),
         ((navigated("still", 0.0), navigated("turned", 0.1)), "'still' has no position error"),
         ((navigated("still", 0.1), navigated("turned", 0.0)), "'turned' has no position error"),

@@ -246,13 +246,16 @@ def test_numbers_and_plurals_are_those_of_the_language(tmp_path: Path, monkeypat
 
 
 def test_texts_that_had_no_singular_when_they_were_stored_are_still_translated() -> None:
-    many = "Uncertainties are based on the residuals: {freedom} degrees of freedom for each output, so the coverage factors are large."
-    one = many.replace("degrees", "degree")
+    many = (
+        "Uncertainties are based on the residuals: {freedom} degrees of freedom for each output. The fewer degrees of freedom, the "
+        "larger the coverage factors."
+    )
+    one = many.replace("degrees", "degree", 1)
     term = spoken("zh")["term"]
     now = counted(one, many, 1, freedom=1)
     assert ": 1 degree of freedom for" in now and ": 2 degrees of freedom for" in counted(one, many, 2, freedom=2)
     stored = Said.from_json({"text": many.format(freedom=1), "template": many, "values": {"freedom": 1}})
-    assert term(stored) == term(now) == "不确定度基于残差：每个输出的自由度为 1，因此包含因子较大。"
+    assert term(stored) == term(now) == "不确定度基于残差：每个输出的自由度为 1。自由度越少，包含因子越大。"
 
 
 def test_placeholders_are_names_and_nothing_more() -> None:

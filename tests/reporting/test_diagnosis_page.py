@@ -110,7 +110,10 @@ def test_noise_alone_includes_noise_that_is_not_as_declared():
 def test_an_effect_of_its_form_is_named_beside_it():
     found = diagnosis(verdict={"kind": "effect", "effects": ["lever_arm"], "class": [], "form_residue": "time_latency"})
     check(found)
-    assert "The contribution of time_latency is below 5 % and is treated as form residue." in verdict(found)
+    assert (
+        "The contribution of time_latency is below 5 % and is treated as an error of the modelled form (form residue)."
+        in verdict(found)
+    )
 
 
 def test_the_weaker_of_two_is_said_to_be_form_residue_perhaps():
@@ -119,8 +122,7 @@ def test_the_weaker_of_two_is_said_to_be_form_residue_perhaps():
     check(found)
     assert verdict(found) == (
         "lever_arm and time_latency together explain the gap (P = 0.98). time_latency explains less than 5 % of the gap: either "
-        "it is present but weak, or it is a form residue "
-        "of lever_arm."
+        "it is present but weak, or it only makes up for an error in the modelled form of lever_arm (form residue)."
     )
 
 

@@ -11,7 +11,7 @@ segments. If an effect changes an output within segments (`ChangesWithinSegments
         id = "my_effect"                      # the entry point's name
         stage = "sensor"                      # stimulus, sensor, output, acquisition, covariance
         shown_by = "two temperatures"         # which segments determine it, for the messages of an estimate
-        about = About(…)                      # plain name, physics, who acts and what to do
+        about = About(…)                      # plain name, physics, where to correct and what to do
         def variants(self, observed) -> list[Variant]
 
 A variant is the effect at one value of its shape (a time constant, a limit). The change of the output is linear in the amplitudes

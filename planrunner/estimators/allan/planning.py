@@ -69,7 +69,7 @@ def require_averaging_times(name: str, count: int) -> None:
     """Raises `EstimationError` if the variances can be fitted at fewer than two averaging times."""
     if count < 2:
         raise EstimationError(
-            f"'{name}': the deviations are known well enough to be fitted at {count} averaging times only: "
+            f"'{name}': the deviations are known well enough to be fitted at only {count} averaging times: "
             f"record for longer, or raise `fit_up_to`"
         )
 

@@ -238,7 +238,7 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         ]
         at_rest = [one.model.name for one in made.outputs if len(one.model.rows) < len(request.segments)]
         if at_rest:
-            shared.append(said("{outputs}: fitted from the segments at rest alone.", outputs=tuple(at_rest)))
+            shared.append(said("{outputs}: only the segments at rest are used for the fit.", outputs=tuple(at_rest)))
         return Words(
             headline=tuple(one.name for one in made.found.quantities),
             settings={

@@ -57,9 +57,9 @@ class ErrorModelParameters(Record):
     )
     temperature_channel: str | None = optional(
         CHANNEL,
-        "The sensor's own thermometer. Its mean over a segment is the temperature of the segment, and a drift with temperature "
-        "follows it. If this key is left out, the planned temperature is the temperature of a segment, but a drift with temperature "
-        "follows the only recorded channel that is a temperature.",
+        "The sensor's own thermometer. Its mean over a segment is used as the temperature of the segment, and its readings are used "
+        "for a drift with temperature. By default, a segment has its planned temperature, and a drift with temperature uses the "
+        "recorded temperature channel, if there is exactly one.",
         "temperature",
     )
     supply_channel: str | None = optional(

@@ -390,8 +390,8 @@ def formula(frame: Framed) -> Said:
     """Returns a note that explains how to apply the coefficients."""
     known = {one.kind for one in frame.responses}
     formulas = {
-        "gyro": said("gyros: ω = (S·M)⁻¹·(output − b − G·f)"),
-        "accel": said("accelerometers: f = (S·M)⁻¹·(output − b)"),
+        "gyro": said("for gyros, ω = (S·M)⁻¹·(output − b − G·f)"),
+        "accel": said("for accelerometers, f = (S·M)⁻¹·(output − b)"),
     }
     frames = {
         "gyro": said("in the gyro triad's own frame"),
@@ -400,9 +400,13 @@ def formula(frame: Framed) -> Said:
     }
     first, *others = (formula for kind, formula in formulas.items() if kind in known)
     if not others:
-        return said("To calibrate an output, {frame}: {formula}.", frame=frames[frame.reference], formula=first)
+        return said(
+            "Input {frame}, computed from the outputs: {formula}.",
+            frame=frames[frame.reference],
+            formula=first,
+        )
     return said(
-        "To calibrate an output, {frame}: {first}; {second}.",
+        "Input {frame}, computed from the outputs: {first}; {second}.",
         frame=frames[frame.reference],
         first=first,
         second=others[0],

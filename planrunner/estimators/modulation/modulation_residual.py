@@ -147,7 +147,7 @@ def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | Non
     labels = {segment.label for segment in request.segments}
     for name, extra in told.items():
         if extra["navigated"] not in labels:
-            message = f"`segments` lacks '{extra['navigated']}', which '{name}' navigates"
+            message = f"`segments` lacks '{extra['navigated']}', the segment of the navigation '{name}'"
             return Remark("physics-modulation", message, "name the segments of every navigation in `uses`", error=True)
     still = [name for name, extra in told.items() if not extra["turned"]]
     if len(still) == 1:

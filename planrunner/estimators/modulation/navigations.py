@@ -85,7 +85,7 @@ def compared(request: EstimateRequest[object]) -> list[Navigation]:
         own = [segments.get(label) for label in used.segments]
         if not own or own[-1] is None:
             raise EstimationError(
-                f"`segments` lacks the segment that '{name}' navigates: name the segments of every navigation in `uses`"
+                f"`segments` lacks the segment of the navigation '{name}': name the segments of every navigation in `uses`"
             )
         navigated, before = own[-1], own[-2] if len(own) > 1 else None
         course = courses[name][:, courses[name][0] <= last + 1e-6]

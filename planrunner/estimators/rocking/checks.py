@@ -59,7 +59,10 @@ def _windows(parameters: RockingDriftParameters) -> list[Remark]:
     found = []
     release, window = parameters.release.value, parameters.window.value
     if release < LEAST_RELEASE - SMALL:
-        message = f"{release:g} s after release the element may still be in the levelling dead region (1 arcmin at 1 deg/h lasts 60 s)"
+        message = (
+            f"{release:g} s after release, the element may still be in the dead zone of the levelling loops (1 arcmin at 1 deg/h lasts "
+            "60 s)"
+        )
         found.append(Remark("physics-rocking-release", message, "allow 60 s or more", "release"))
     if window < LEAST_WINDOW - SMALL:
         message = f"a window of {window:g} s is shorter than the 2 s that the method requires"

@@ -61,8 +61,9 @@ def sentence(pairings: Sequence[Pairings]) -> Said:
         where = said("on none of the axes ({others})", others=tuple(worse))
     claim = said("not more than 70 % on {axes}", axes=tuple(few)) if few else said("more than 70 % on every axis")
     return said(
-        "Over {pairs} random pairings, the accelerometer method has the smaller standard deviation {where}. In {share:.0f} % of "
-        "the pairings ({claim}), its drift is smaller in magnitude than the drift from the gimbal angles.",
+        "Over {pairs} random pairings of a static and a dynamic run, the accelerometer method has the smaller standard deviation "
+        "{where}. In {share:.0f} % of the pairings ({claim}), the drift from the accelerometers is smaller in magnitude than the "
+        "drift from the gimbal angles.",
         pairs=all_pairs,
         where=where,
         share=100 * smaller,

@@ -343,7 +343,7 @@ def _conditions(
         if parts:
             label, turns = parts[0]
             raise EstimationError(
-                f"'{label}' covers {turns:.4g} turns, not whole ones, so the Earth's rotation is not averaged out: "
+                f"'{label}' covers {turns:.4g} turns, which is not a whole number, so the Earth's rotation is not averaged out: "
                 "write "
                 "`earth_rate: corrected`, or `dwell: {turns: 1, at_least: …}`"
             )

@@ -192,7 +192,10 @@ def _note_reference(observed: Observed, mark: Mark, log: Findings) -> None:
     axis = int(np.argmax(variance := rates.var(axis=0)))
     if variance[axis] > 0:
         share = noise[axis] / variance[axis]
-        message = "the channels that show the motion count as exact: an error of their scale factor looks like one of the sensor, and "
+        message = (
+            "the channels that show the motion are treated as exact: an error of their scale factor looks like a scale-factor error "
+            "of the sensor, and "
+        )
         if share < HIDDEN:
             message += f"their noise makes fitted scale factors too small by up to {share * 1e6:.2g} ppm"
         else:

@@ -214,7 +214,7 @@ class VirtualPlatform:
         )
 
     def _cage(self) -> None:
-        """Cages the element. The caged element is level to within the dead region of the levelling loops. The azimuth of the
+        """Cages the element. The caged element is level to within the dead zone of the levelling loops. The azimuth of the
         element differs from caging to caging by the stated repeatability."""
         p, draw = self.parameters, self._draw(self.cagings)
         base = base_axes(self.world, np.array([self.world.now()]))[0]

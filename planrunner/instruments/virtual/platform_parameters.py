@@ -39,7 +39,7 @@ class Caging(Record):
 
     dead_region: Quantity = _each(
         QuantityOf("angle", "not negative"),
-        "Half-width of the levelling loops' dead region; caging leaves the element anywhere within it.",
+        "Half-width of the dead zone of the levelling loops; caging leaves the element anywhere within it.",
         "1 arcmin",
         "0 arcmin",
     )
@@ -51,7 +51,7 @@ class Caging(Record):
     )
     leaving: Quantity = _each(
         QuantityOf("angle", "not negative"),
-        "Standard deviation, about each axis, of the angle by which the element turns while it leaves the dead region.",
+        "Standard deviation, about each axis, of the angle by which the element turns while it leaves the dead zone.",
         "20 arcsec",
         "0 arcsec",
     )

@@ -2,7 +2,7 @@
 space except for its drift.
 
 In axes of the element, the drift angle has four parts: a constant rate, a rate that rocking causes, a random walk, and a transient
-after caging. The transient occurs during the first minute, when the element leaves the dead region of the levelling loops. Rocking
+after caging. The transient occurs during the first minute, when the element leaves the dead zone of the levelling loops. Rocking
 causes drift by rectification. The servos transmit a fraction of the base's motion about every axis. Two such motions with a phase
 difference cause a steady rate, which is proportional to the square of the motion (coning; Savage, Strapdown Analytics, 2000, 10.1).
 In the model, this rate is proportional to the square of the base's angular rate.
@@ -29,7 +29,7 @@ class DriftLaw:
     """Contains the coefficients that determine the drift of the stabilised element.
 
     `constant`: constant drift rate, rad/s. `rectified`: drift rate divided by the square of the base's angular rate, s.
-    `random_walk`: coefficient of the random walk, rad/√s. `leaving`: time constant with which the element leaves the dead region of
+    `random_walk`: coefficient of the random walk, rad/√s. `leaving`: time constant with which the element leaves the dead zone of
     the levelling loops after its release, s.
     """
 
@@ -45,7 +45,7 @@ class Element:
 
     `caged`: rotation vector (3,) [rad] from the base to the element while caged, in axes of the base. `released`: time of release,
     s; None while caged. `axes`: array of shape (3, 3), axes of the element at its release, as rows in East-North-Up. `left`: array
-    of shape (3,) in rad, rotation vector that the element approaches exponentially while it leaves the dead region (see
+    of shape (3,) in rad, rotation vector that the element approaches exponentially while it leaves the dead zone (see
     `DriftLaw.leaving`). `drifted`: array of shape (3,) in rad, drift angle at the time `at` [s].
     """
 
@@ -58,7 +58,7 @@ class Element:
 
     def release(self, world: World, left: Array) -> Element:
         """Releases the element, which is then fixed in inertial space except for its drift. `left`: rotation vector (3,) of the
-        turn with which the element leaves the dead region, rad."""
+        turn with which the element leaves the dead zone, rad."""
         if self.released is not None:
             return self
         now = world.now()
