@@ -15,8 +15,9 @@ _BEGINNING = """\
 # Effects: where to correct, and what to do
 
 `python -m planrunner.error_model.reference docs` writes this page from the classes of the effects. `planrunner diagnose` names effects
-of this list, and states where to correct and what to do. In its output, the values that it found replace the words in italics. `planrunner simulate
---with EFFECT` adds an effect to a simulation, and the estimator [`error_model`](error-models.md) fits its parameters.
+of this list, and states where to correct and what to do. In its output, the values that it found replace the words in italics.
+`planrunner simulate --with EFFECT` adds an effect to a simulation, and the estimator [`error_model`](error-models.md) fits its
+parameters.
 
 Effects marked with † are used in simulations and estimates only. The diagnosis considers them only if you name them with `--given`. It
 also considers the effects of the supply voltage if the voltage varies in the recording, and the effects of the ambient pressure if the
