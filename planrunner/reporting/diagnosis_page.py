@@ -15,7 +15,7 @@ from planrunner.instruments.models import DataOrigin
 from planrunner.reporting.diagnosis_pictures import ranked
 from planrunner.reporting.templates import render
 from planrunner.reporting.view import named, stamped, table_view
-from planrunner.reporting.words import listed
+from planrunner.reporting.words import explanation, listed
 
 SURE = 0.95
 """The page reports no gap if the probability of pure noise is at least this value."""
@@ -157,6 +157,7 @@ def _cause(found: Data) -> str:
     if kind == "unknown":
         return f"A gap caused by something that the catalogue does not contain ({probability(posterior['unknown'])})."
     names = list(said["class"] or effects) if kind == "indistinguishable" else ["+".join(sorted(effects))]
+    either = listed([explanation(name) for name in names], "or")
     residue = said.get("form_residue")
     beside = (
         ["+".join(sorted((*name.split("+"), residue))) for name in names] if residue not in (None, *effects) else []
@@ -168,12 +169,11 @@ def _cause(found: Data) -> str:
     how = _much(found, nearly) + ("" if nearly else f" ({probability(together)})")
     if kind == "indistinguishable" and _open(found):
         chance = "" if nearly else f" (together {probability(together)})"
-        causes = f"One of {listed(names, 'or')}{_something_else(found)} cause the gap"
-        said_so = f"{causes}: this plan cannot distinguish the named effects{chance}."
+        beside_it = _something_else(found).replace(" and ", " and by ", 1)
+        said_so = f"The gap is caused by {either},{beside_it}: this plan cannot distinguish the named effects{chance}."
     elif kind == "indistinguishable":
-        what = f" explains {how}" if nearly else ""
         chance = "" if nearly else f" (together {probability(together)})"
-        said_so = f"One of {listed(names, 'or')}{what}: this plan cannot distinguish them{chance}."
+        said_so = f"{either} explains {_much(found, nearly)}: this plan cannot distinguish them{chance}."
     elif _open(found):
         chance = "" if nearly else f" ({probability(together)})"
         said_so = f"{', '.join(effects)}{_something_else(found)} cause the gap{chance}."

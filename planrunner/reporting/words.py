@@ -27,6 +27,12 @@ def listed(names: Sequence[str], word: str = "and") -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {word} {names[-1]}"
 
 
+def explanation(name: str) -> str:
+    """Returns the name of an explanation of a gap as it is written within a sentence. The names are those of a diagnosis: an effect,
+    several effects joined by "+", or "unknown"."""
+    return "an unknown cause" if name == "unknown" else name
+
+
 def behind_number(unit: str) -> str:
     """Returns the unit with a space before it, to follow a number; empty for pure numbers."""
     return "" if unit in ("", "1") else f" {unit}"

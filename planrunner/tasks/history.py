@@ -101,7 +101,7 @@ def gauge_of(index: Index, quantity: str, wanted: RunFilter) -> tuple[GaugeStudy
     coefficient. Raises `InputError` if these runs do not form a complete gauge study."""
     points = [point for point in index.points(quantity, wanted) if math.isfinite(point.coefficient.value)]
     units = {point.coefficient.unit for point in points}
-    hint = "choose runs with --device, --plan, --since and --until that have every combination at least twice"
+    hint = "with --device, --plan, --since and --until, choose runs in which every combination occurs at least twice"
     if len(units) != 1:
         what = f"no run has a coefficient '{quantity[:60]}'" if not units else "the runs state different units"
         raise InputError.at(COMMAND_LINE, "gauge-design", what, hint)
@@ -113,7 +113,9 @@ def gauge_of(index: Index, quantity: str, wanted: RunFilter) -> tuple[GaugeStudy
     try:
         return gauge_study(labels, [point.coefficient.value for point in points]), units.pop()
     except UnbalancedError as error:
-        raise InputError.at(COMMAND_LINE, "gauge-design", f"the runs are no balanced study: {error}", hint) from None
+        raise InputError.at(
+            COMMAND_LINE, "gauge-design", f"the runs do not form a balanced study: {error}", hint
+        ) from None
 
 
 def _tolerance(text: str, unit: str) -> float:

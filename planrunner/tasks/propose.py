@@ -28,6 +28,7 @@ from planrunner.plan.model import parse_plan
 from planrunner.plan.rewriting import cardinal_orientations, orientation_text
 from planrunner.plan.schedule import Rock, Segment, Spin
 from planrunner.plan.units import ZERO_CELSIUS, unit
+from planrunner.reporting.words import explanation, listed
 
 if TYPE_CHECKING:
     from planrunner.gap.answer.diagnosis import Diagnosis
@@ -239,8 +240,7 @@ class Next:
 
 def words(found: SegmentProposal, planned: bool) -> str:
     """Describes the proposal in sentences. `planned`: True if a plan was made from the proposal."""
-    names = [name for name, _ in found.rivals]
-    rivals = f"{', '.join(names[:-1])} and {names[-1]}"
+    rivals = listed([explanation(name) for name, _ in found.rivals])
     if planned:
         said = (
             f"{count_of(len(found.segments), 'segment')} in {_duration(found.seconds)} would separate {rivals}: the true "

@@ -63,7 +63,7 @@ def test_the_schema_refuses_what_is_not_a_diagnosis(changes):
         ("unknown", "A gap caused by something that the catalogue does not contain (P = 0.97)."),
         (
             "indistinguishable",
-            "One of gyro_g_sensitivity or table_tilt: this plan cannot distinguish them (together P = 0.97).",
+            "gyro_g_sensitivity or table_tilt explains the gap: this plan cannot distinguish them (together P = 0.97).",
         ),
     ],
 )
@@ -138,9 +138,7 @@ def test_a_remainder_beside_what_the_nominal_model_lacks_is_said_to_be():
     }
     check(found)
     members = "gyro_bias+gyro_scale_factor or gyro_bias+table_rate_error"
-    assert (
-        verdict(found) == f"One of {members} explains nearly all of the gap: this plan cannot distinguish them." + rest
-    )
+    assert verdict(found) == f"{members} explains nearly all of the gap: this plan cannot distinguish them." + rest
 
 
 def test_what_takes_up_the_form_beside_an_effect_counts_for_it():

@@ -126,7 +126,9 @@ def gauge_study(factors: Mapping[str, Sequence[str]], values: Sequence[float], *
             raise UnbalancedError(f"there is no value of {place}")
     r = min(map(len, cells.values()))
     if r < 2:
-        raise UnbalancedError("a combination has one value only; repeatability needs two of each")
+        raise UnbalancedError(
+            "a combination has only one value, but repeatability needs at least two values of each combination"
+        )
     data = np.empty((*shape, r))
     for key, found in cells.items():
         data[key] = found[:r]

@@ -341,5 +341,5 @@ def test_a_design_with_a_hole_is_refused_by_name() -> None:
     factors = {"device": ["a", "a", "b", "b"], "bench": ["1", "1", "1", "1"], "operator": ["x", "y", "x", "x"]}
     with pytest.raises(UnbalancedError, match="no value of device b, operator y"):
         gauge_study(factors, [1.0, 2.0, 3.0, 4.0])
-    with pytest.raises(UnbalancedError, match="needs two of each"):
+    with pytest.raises(UnbalancedError, match="needs at least two values"):
         gauge_study({"device": ["a", "b"]}, [1.0, 2.0])
