@@ -152,7 +152,7 @@ class MountTurned:
     id, stage, hypothesis = "mount_turned", "stimulus", False
     of_declaration: Literal[True] = True
     about = About(
-        "sensor is mounted in another orientation",
+        "sensor is mounted in a different orientation",
         "Gyros and accelerometers are turned together, relative to the orientation that the plan states.",
         Actor.PLAN,
         "Correct the orientations in the plan, or mount the sensor as planned: {found}.",

@@ -82,19 +82,19 @@ _ABOUT = {
         "{} bias",
         "The output of each {} contains a constant that is not among the fitted terms of the simulation.",
         Actor.SENSOR,
-        "Correct the bias, or add it to `nominal` in the diagnosis of the plan: {{found}}.",
+        "Correct the bias, or add it to `nominal` under `diagnosis` in the plan: {{found}}.",
     ),
     "scale_factor": About(
         "{} scale factor is wrong",
         "The output of each {} differs from its input by a constant factor that is not among the fitted terms of the simulation.",
         Actor.SENSOR,
-        "Correct the scale factor, or add it to `nominal` in the diagnosis of the plan: {{found}}.",
+        "Correct the scale factor, or add it to `nominal` under `diagnosis` in the plan: {{found}}.",
     ),
     "misalignment": About(
         "{} axes are not where they are declared",
         "Each {} responds to inputs along the other axes, because its input axis is tilted.",
         Actor.SENSOR,
-        "Correct the misalignment, or add it to `nominal` in the diagnosis of the plan: {{found}}.",
+        "Correct the misalignment, or add it to `nominal` under `diagnosis` in the plan: {{found}}.",
     ),
 }
 
@@ -122,7 +122,7 @@ class EarthRate:
         "simulation omits the rotation of the Earth",
         "The gyros measure the rotation of the Earth, which the simulation does not contain.",
         Actor.BOOKKEEPING,
-        "Add `earth_rate` to `nominal` in the diagnosis of the plan: {found}.",
+        "Add `earth_rate` to `nominal` under `diagnosis` in the plan: {found}.",
     )
 
     def variants(self, observed: Observed) -> list[Variant]:

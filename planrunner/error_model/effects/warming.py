@@ -34,7 +34,7 @@ class _WarmUp(Shaped):
     """Adds a·exp(−t/τ) to the output of each axis, where t is the time since power-on."""
 
     stage, shape_name, shape_unit = "sensor", "tau", "s"
-    shown_by, over_segments = "the same state at several times since power-on, beginning early", True
+    shown_by, over_segments = "the same state at several times after power-on, the first of them early", True
     kind: str
 
     def grid(self, observed: Observed) -> Array:
