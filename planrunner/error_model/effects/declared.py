@@ -153,7 +153,7 @@ class MountTurned:
     of_declaration: Literal[True] = True
     about = About(
         "sensor is mounted in a different orientation",
-        "Gyros and accelerometers are turned together, relative to the orientation that the plan states.",
+        "Gyros and accelerometers are turned together, relative to the orientation in the plan.",
         Actor.PLAN,
         "Correct the orientations in the plan, or mount the sensor as planned: {found}.",
     )

@@ -37,7 +37,7 @@ _QUANTITIES = {
         "supply voltage",
         "the voltage that supplies the sensor",
         "Regulate the supply more closely, or compensate with the measured voltage: {found}.",
-        "two supply voltages, stated by `supply_voltage` of the segments or recorded in `supply_channel`",
+        "two supply voltages, given by `supply_voltage` of the segments or recorded in `supply_channel`",
     ),
     Follows.PRESSURE: _Quantity(
         "hPa",
@@ -45,7 +45,7 @@ _QUANTITIES = {
         "ambient pressure",
         "the pressure of the air around the sensor",
         "Seal the sensor, or compensate with the measured pressure: {found}.",
-        "two ambient pressures, stated by `ambient_pressure` of the segments or recorded in `pressure_channel`",
+        "two ambient pressures, given by `ambient_pressure` of the segments or recorded in `pressure_channel`",
     ),
 }
 _VARIED = {Follows.SUPPLY: 0.1, Follows.PRESSURE: 1000.0}
