@@ -149,6 +149,7 @@ class RecordedSegment:
     has not been screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were
     recorded, so that there are no samples to read. `repeats`: maps each screened output to its repeated values.
     `parts`: maps each output at rest or at a constant rate to the means of equal parts of the segment, in the channel's unit.
+    `readings_of`: maps each thermometer to a part of its readings.
     """
 
     segment: Segment
@@ -163,10 +164,17 @@ class RecordedSegment:
     summary: bool = False
     repeats: Mapping[str, RepeatedValues] = field(default_factory=dict)
     parts: Mapping[str, Array] = field(default_factory=dict)
+    readings_of: Mapping[str, RepeatedValues] = field(default_factory=dict)
 
     def watched(self, watcher: Watcher) -> RecordedSegment:
         """Returns the segment with the results of a watcher that has seen all its samples."""
-        return replace(self, finds=watcher.finds(), repeats=watcher.repeats(), parts=watcher.parts())
+        return replace(
+            self,
+            finds=watcher.finds(),
+            repeats=watcher.repeats(),
+            parts=watcher.parts(),
+            readings_of=watcher.readings(),
+        )
 
     @property
     def label(self) -> str:
@@ -220,6 +228,9 @@ class Watcher(Protocol):
 
     def parts(self) -> Mapping[str, Array]:
         """Returns the means of equal parts of the segment for each output, after the findings have been returned."""
+
+    def readings(self) -> Mapping[str, RepeatedValues]:
+        """Maps each thermometer to a part of its readings; call this method after `finds`."""
 
 
 WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]

@@ -121,6 +121,8 @@ def statistics_of(
 
     A row with a non-finite value in any channel is omitted and counted in `rejected`. With one sample, covariance and standard
     error are NaN; without samples, the mean is NaN too. `watcher`: examines the samples while they are read for the statistics.
+
+    Raises ValueError if a time is not a finite number, or if the times do not increase.
     """
     gathered = _Gathered(len(channels), rows, motion)
     for block in blocks:
@@ -220,10 +222,15 @@ class _Gathered:
             self.gap = max(self.gap, float(time[0]) - self.end)
         else:
             self.start = float(time[0])
+        if not math.isfinite(time[0]):
+            raise _no_time(self.count, time[0])
         self.steps = (math.inf, -math.inf)
         if len(time) > 1:
             steps = time[1:] - time[:-1]
             self.steps = float(steps.min()), float(steps.max())
+            if not (self.steps[0] > -math.inf and self.steps[1] < math.inf):  # true for NaN as well
+                worst = int(np.argmin(np.isfinite(time)))
+                raise _no_time(self.count + worst, time[worst])
             self.gap = max(self.gap, self.steps[1])
         self.end = float(time[-1])
 
@@ -261,6 +268,11 @@ class _Gathered:
     def statistics(self, channels: tuple[str, ...]) -> Statistics:
         if self.filled:
             self._merge()
+        if self.count > 1 and not self.end > self.start and self.gap <= 0:
+            raise ValueError(
+                f"the time does not increase: it is {self.start:g} s at the first of {self.count} samples and {self.end:g} s at the "
+                "last; give the time of each sample in seconds"
+            )
         unknown = np.full(len(channels), math.nan)
         sums, counts = self.batch_sum, self.batch_count
         course = self._course()
@@ -313,6 +325,12 @@ class _Gathered:
         interval = (self.end - self.start - self.gap) / max(self.count - 2, 1)
         middle = self.opened - self.opened[0] + (self.edges[1:] - self.edges[:-1] - 1) * interval / 2
         return course_of(self.motion, middle, self.batch_count, interval)
+
+
+def _no_time(sample: int, value: float) -> ValueError:
+    return ValueError(
+        f"the time of sample {sample + 1} is {value:g}, which is not a finite number; leave the sample out or correct its time"
+    )
 
 
 def _less(squares: Array, explained: Array) -> Array:

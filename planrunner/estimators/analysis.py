@@ -21,7 +21,7 @@ from planrunner.base.processes import ClusterError, ProcessEndedError
 from planrunner.base.progress import Announce
 from planrunner.base.said import Said, said
 from planrunner.base.workers import ALONE, Workers
-from planrunner.estimators.declared_temperatures import thermometer_words
+from planrunner.estimators.declared_temperatures import NamesThermometer, thermometer_words
 from planrunner.estimators.foresight import detection_of, patterns_of
 from planrunner.estimators.interface import (
     Estimate,
@@ -36,6 +36,7 @@ from planrunner.estimators.monte_carlo_validation import Chains, linear_chain, v
 from planrunner.estimators.open_flicker import with_flicker_words
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.estimators.screened_estimate import estimated
+from planrunner.estimators.thermometer_counts import thermometer_count_words, thermometer_counts
 from planrunner.estimators.transients import transient_words
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.observation.lattice import differ, undeclared_step
@@ -68,7 +69,7 @@ def analyse(
     """
     looked_at = screened(announced(recording, "screening the samples", notice), sensor)
     recording = [
-        replace(item, finds=one.finds, repeats=one.repeats, parts=one.parts)
+        replace(item, finds=one.finds, repeats=one.repeats, parts=one.parts, readings_of=one.readings_of)
         for item, one in zip(recording, looked_at, strict=True)
     ]
     made: dict[str, Estimate] = {}
@@ -175,8 +176,13 @@ def _estimate(
         *transient_words(counted, used, sensor),
         *lost_samples(chosen, sensor.sample_rate),
         *thermometer_words(chosen, spec.parameters),
+        *thermometer_count_words(estimate, thermometer_counts(counted, _thermometer(spec.parameters), sensor)),
     )
     return replace(estimate, warnings=(*estimate.warnings, *further))
+
+
+def _thermometer(parameters: Record) -> str | None:
+    return parameters.temperature_channel if isinstance(parameters, NamesThermometer) else None
 
 
 def _used_outputs(parameters: Record, sensor: SensorModel) -> frozenset[str]:

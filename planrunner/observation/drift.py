@@ -22,7 +22,7 @@ from planrunner.observation.observations import Observations, recorded_times
 from planrunner.observation.refusals import EstimationError
 from planrunner.observation.surroundings import CHANGED
 from planrunner.plan.kinds import CHANNEL, Choice, ListOf, key, optional
-from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
+from planrunner.plan.units import measures, unit
 
 BY_EVIDENCE, NONE = "by_evidence", "none"
 ORDERS = ("linear", "quadratic", "cubic")
@@ -235,7 +235,7 @@ def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: b
     or more than one. `by_evidence`: True if the data decide which drift functions are fitted, so that the plan does not require a
     thermometer.
     """
-    thermometers = [name for name in sorted(units) if _is_temperature(units[name])]
+    thermometers = [name for name in sorted(units) if measures(units[name], "temperature")]
     if channel is not None:
         if channel in thermometers:
             return channel
@@ -250,13 +250,6 @@ def thermometer_of(units: Mapping[str, str], channel: str | None, by_evidence: b
         raise EstimationError(f"there are several thermometers: {', '.join(thermometers)}", hint, "drift")
     message = "a drift with temperature needs a thermometer that is recorded in every segment"
     raise EstimationError(message, "record one, or write `drift: linear`", "drift")
-
-
-def _is_temperature(text: str) -> bool:
-    try:
-        return unit(text).dimension == DIMENSIONS["temperature"]
-    except UnknownUnitError:
-        return False
 
 
 def _common(segments: Sequence[RecordedSegment]) -> dict[str, str]:

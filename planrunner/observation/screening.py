@@ -49,7 +49,7 @@ from planrunner.instruments.models import OutputModel, SensorModel
 from planrunner.observation.angle_spikes import AngleSpikes
 from planrunner.observation.standing import PER_SIGMA, RUN, leaves_count, with_standing
 from planrunner.plan.schedule import Cycle, Rest, Segment, Spin
-from planrunner.plan.units import DIMENSIONS, UnknownUnitError, unit
+from planrunner.plan.units import DIMENSIONS, UnknownUnitError, measures, unit
 
 RowNumbers = NDArray[np.int64]
 Numbered = RowNumbers | range
@@ -89,6 +89,7 @@ _KEPT = 10_000  # finds of one kind and channel
 _HELD = 2_000  # most stretches of equal samples that are kept for the test at the end
 _SHORT = 64  # lengths of runs that are counted one by one
 _SHOWN = 256  # runs of equal samples whose values are kept, to show the count of a channel
+_READINGS = 4096  # different readings of a thermometer that are kept
 _RUNS = 20  # fewest runs from which the usual length is determined
 _BINS, _FEWEST_BINS = 1024, 64  # means in which steps are sought
 PARTS = 16
@@ -129,10 +130,12 @@ def varies(output: OutputModel) -> bool:
 
 def watch_of(sensor: SensorModel) -> WatcherOf:
     """Returns a function that makes a `Screening` for each segment. The screening covers the sensor's outputs, and searches all
-    recorded angles for spikes. Thermometers are not screened, because they may keep one value for a long time."""
+    recorded angles for spikes. Thermometers are not screened, because they may keep one value for a long time; a part of their
+    readings is kept to show their counts."""
 
     def watch(segment: Segment, units: Mapping[str, str], rows: int) -> Screening:
         counts, scales, angles = {}, {}, []
+        thermometers = [name for name, text in units.items() if measures(text, "temperature")]
         for name in units:
             if (angle := _angle(units[name])) is not None:
                 output = sensor.output(name)
@@ -144,7 +147,7 @@ def watch_of(sensor: SensorModel) -> WatcherOf:
         steady = isinstance(segment.motion, Rest | Spin) and segment.attitude is not None
         still = steady and isinstance(segment.motion, Rest)
         stopping = isinstance(segment.motion, Cycle)
-        return Screening(counts, scales, rows, steady=steady, still=still, stopping=stopping, angles=angles)
+        return Screening(counts, scales, rows, steady=steady, still=still, stopping=stopping, angles=angles, thermometers=thermometers)
 
     return watch
 
@@ -328,6 +331,27 @@ class _Runs:
         return [one for one in longer if leaves_count(noise, self.count, one.length, CHANCE)]
 
 
+class _Readings:
+    """Keeps a part of the readings of a thermometer, to show its count: of each block, a few readings at equal distances, and
+    whether the first readings repeat."""
+
+    def __init__(self) -> None:
+        self.values: Array = np.empty(0)
+        self.seen = self.repeated = 0
+
+    def add(self, values: Array) -> None:
+        """Adds the next readings, shape (n,)."""
+        first = values[:_SHOWN]
+        self.repeated += int(np.count_nonzero(first[1:] == first[:-1]))
+        self.seen += max(len(first) - 1, 0)
+        if len(self.values) < _READINGS:
+            some = values[:: max(len(values) // _SHOWN, 1)]
+            self.values = np.union1d(self.values, some[np.abs(some) < _LARGEST])[:_READINGS]
+
+    def shown(self) -> RepeatedValues:
+        return RepeatedValues(self.values, self.repeated / max(self.seen, 1))
+
+
 class Screening:
     """Screens one segment in one pass over its samples. In the methods, k is the index of a channel, and `values`, `rows` and
     `times` are arrays of shape (n,): values of a channel, row numbers and times [s] of successive samples."""
@@ -342,6 +366,7 @@ class Screening:
         still: bool = False,
         stopping: bool = False,
         angles: Sequence[AngleSpikes] = (),
+        thermometers: Sequence[str] = (),
     ):
         """`counts`: declared count of each channel, 0 if none is declared. `full_scales`: full scale of each channel, for both
         signs. Counts and full scales are in the channel's unit. `steady`: True if the sensor is planned to be at rest or to rotate
@@ -349,6 +374,7 @@ class Screening:
         rest. `stopping`: True if the segment is planned as turns with stops in between."""
         self.channels, self.steady, self.still, self.stopping = tuple(counts), steady, still, stopping
         self.angles = angles
+        self.thermometers = {name: _Readings() for name in thermometers}
         self.counts = np.array([counts[name] for name in self.channels])
         self.full_scales = full_scales
         k, room = len(self.channels), min(_PIECE, max(rows, 1))
@@ -385,6 +411,8 @@ class Screening:
         rows: Numbered = range(self.row, self.row + count)
         for angle in self.angles if count else ():
             angle.add(block.channels[angle.channel], self.row, block.time)
+        for name, readings in self.thermometers.items():
+            readings.add(block.channels[name])
         self.row += count
         if not self.channels or not count:
             return
@@ -447,6 +475,10 @@ class Screening:
         """Returns the means of equal parts of the segment without bad samples, shape (PARTS,), for each channel with enough
         samples. The result is empty unless the sensor is at rest or at a constant rate. The method must be called after `finds`."""
         return self.in_parts
+
+    def readings(self) -> dict[str, RepeatedValues]:
+        """Returns the different readings that each thermometer showed, and how often a reading repeats the one before it."""
+        return {name: one.shown() for name, one in self.thermometers.items()}
 
     def _look_at_filled(self) -> None:
         place = slice(0, self.filled)

@@ -259,6 +259,15 @@ _OTHERWISE = {
 }
 
 
+def measures(text: str, quantity: str) -> bool:
+    """Returns True if the text names a unit of a quantity, such as "temperature"; False if the unit is unknown or belongs to
+    another quantity."""
+    try:
+        return unit(text).dimension == DIMENSIONS[quantity]
+    except UnknownUnitError:
+        return False
+
+
 def suggestion(text: str, dimension: Dimension | None = None) -> str:
     """Returns the unit that an invalid text probably means: the same letters in another case, or the closest common unit; '' if
     there is none.

@@ -14,6 +14,7 @@ from planrunner.archive import statistics as one_pass
 from planrunner.archive.recording import BATCHES
 from planrunner.archive.statistics import CHUNK, statistics_of
 from planrunner.instruments.interfaces import Block
+from planrunner.plan.schedule import Motion, Rest, Spin
 
 NAMES = ("x", "y", "z")
 
@@ -145,3 +146,22 @@ def test_lost_blocks_leave_their_batches_empty() -> None:
     got = statistics_of(blocks_of(np.arange(3200.0), values, [7, 600, 700, 1450, 2000]), NAMES[:2], 3200)
     assert (got.count, got.rejected, got.batches, got.start, got.largest_gap) == (2193, 1007, BATCHES - 10, 7.0, 1001.0)
     np.testing.assert_allclose(got.standard_error, by_numpy(values, 3200), rtol=1e-12)
+
+
+@pytest.mark.parametrize("motion", [Rest(), Spin(0.3, (0.0, 0.0, 1.0))], ids=["at rest", "turning"])
+@pytest.mark.parametrize(
+    ("time", "words"),
+    [
+        (np.zeros(400), "it is 0 s at the first of 400 samples and 0 s at the last"),
+        (np.arange(400.0)[::-1], "it is 399 s at the first of 400 samples and 0 s at the last"),
+        (np.full(400, np.nan), "the time of sample 1 is nan"),
+        (np.where(np.arange(400) == 250, np.nan, np.arange(400.0)), "the time of sample 251 is nan"),
+        (np.where(np.arange(400) == 399, np.inf, np.arange(400.0)), "the time of sample 400 is inf"),
+    ],
+    ids=["constant", "backwards", "missing", "one missing", "infinite"],
+)
+def test_times_that_are_no_times_are_named(motion: Motion, time: np.ndarray, words: str) -> None:
+    values = np.random.default_rng(1).standard_normal(400)
+    blocks = [Block(time[low : low + 97], {"x": values[low : low + 97]}) for low in range(0, 400, 97)]
+    with pytest.raises(ValueError, match=words):
+        statistics_of(blocks, ("x",), 400, motion=motion)

@@ -37,7 +37,7 @@ from planrunner.estimators.declared_axes import AxisResponse, against_nominal, c
 from planrunner.estimators.derived import Derived, Reported, derived
 from planrunner.estimators.drift_order import planned_drift
 from planrunner.estimators.error_model.common_amplitudes import CommonAmplitudes, between_outputs, common_amplitudes
-from planrunner.estimators.error_model.meter_errors import meter_errors
+from planrunner.estimators.error_model.meter_errors import meter_errors, thermometer_errors
 from planrunner.estimators.error_model.outputs import ModelledOutput, Together, models
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.error_model.sampled_outputs import SampledOutputs
@@ -61,6 +61,7 @@ from planrunner.estimators.outputs_fit import BASES, OutputsFit, coefficients_by
 from planrunner.estimators.resolution_influences import resolution_influences
 from planrunner.estimators.stated_errors import site_errors, table_errors
 from planrunner.estimators.tables import Role, Table, TableColumn, by_columns
+from planrunner.estimators.thermometer_counts import thermometer_counts
 from planrunner.observation.correlated_errors import CorrelatedError, functionals_of
 from planrunner.observation.drift import DriftCourse, DriftCourses, drift_of
 from planrunner.observation.flicker import flicker_errors, unstated_flicker
@@ -413,7 +414,10 @@ def _fitted(
         fits=len(parameters.outputs),
         shown=frozenset(shown),
     )
+    counts = thermometer_counts(recorded, parameters.temperature_channel, request.sensor)
+    common, rounding = thermometer_errors(group.model, counts, responses)
     site = (
+        *common,
         *site_errors(group.model, group.segments, request.site, inputs, responses),
         *meter_errors(group.model, request.name, parameters, request.sensor.nominal_supply, responses),
     )
@@ -422,7 +426,7 @@ def _fitted(
         contrasts = None if one.within is None else one.within.contrasts
         effects = (
             *(_extended(error, contrasts, own=True) for error in _of_output(flicker, k)),
-            *(_extended(error, contrasts) for error in _of_output(acting, k)),
+            *(_extended(error, contrasts) for error in _of_output((*acting, *rounding), k)),
             *_of_angle(one),
         )
         courses = [course for course in drift.courses if not _modelled(course, drift, one)]

@@ -1,9 +1,11 @@
-"""Computes how errors of the meters for supply voltage and ambient pressure change the observations of a model.
+"""Computes how errors of the meters for supply voltage, ambient pressure and temperature change the observations of a model.
 
-Each meter may have two errors that are the same in all segments: a zero error, and a relative error of the reading. These errors
+Each meter for supply voltage or pressure may have two errors that are the same in all segments: a zero error, and a relative error of the reading. These errors
 cause no scatter between segments, so their contributions are added to the contribution of the data (JCGM 100:2008, F.1.2.3). The
 errors of a meter also act if the plan states the voltage or the pressure, because the stated value was read from a meter. Each
 change is computed for a reading that is too large; for a reading that is too small, it has the opposite sign.
+
+The errors of a thermometer follow from its counts (`thermometer_counts`).
 """
 
 from __future__ import annotations
@@ -17,9 +19,12 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.observed import STANDARD_PRESSURE
 from planrunner.error_model.segment_columns import ErrorsAtSegments, SegmentStates
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
+from planrunner.estimators.thermometer_counts import ThermometerCounts
 from planrunner.observation.correlated_errors import CorrelatedError
 from planrunner.plan.quantity import Quantity
 from planrunner.uncertainty.influences import InputQuantity
+
+_STEP = 0.01  # K; the columns of effects of temperature are smooth
 
 
 def meter_errors(
@@ -39,6 +44,28 @@ def meter_errors(
         if moved.any():
             found.append(CorrelatedError(quantity, dict(enumerate(moved[..., None]))))
     return tuple(found)
+
+
+def thermometer_errors(
+    model: ErrorsAtSegments, counts: ThermometerCounts | None, coefficients: Array
+) -> tuple[tuple[CorrelatedError, ...], tuple[CorrelatedError, ...]]:
+    """Computes the errors of the observations that the counts of the thermometer cause: first the error that all readings have in
+    common, then the rounding errors of separate readings. `coefficients`: the same as in `meter_errors`."""
+    if counts is None:
+        return (), ()
+    states = model.states
+    sides = [
+        replace(model, states=states.measured(states.celsius + by)).columns(model.stimulus) for by in (-_STEP, _STEP)
+    ]
+    moved = -coefficients @ (sides[1] - sides[0]).T / (2 * _STEP)
+    if not moved.any():
+        return (), ()
+    common = counts.offset
+    rounding = {k: row[:, None] * counts.groups for k, row in enumerate(moved)}
+    return (
+        () if common is None else (CorrelatedError(common, dict(enumerate(moved[..., None]))),),
+        (CorrelatedError(counts.rounding, rounding, counts.parts),) if counts.parts else (),
+    )
 
 
 def _moved(

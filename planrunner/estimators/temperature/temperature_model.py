@@ -36,6 +36,7 @@ from planrunner.estimators.temperature.branches import Difference, difference_of
 from planrunner.estimators.temperature.curve import CurveFit, OverTemperature, curve, fit_curve, groups_of
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters, remarks
 from planrunner.estimators.temperature.points import Points, from_channels, from_estimates, given_by_temperature
+from planrunner.estimators.thermometer_counts import thermometer_counts
 from planrunner.estimators.unstated_flicker import FlickerEvidence, UnstatedFlicker
 from planrunner.observation.drift import NONE, ORDERS, DriftCourse, in_time
 from planrunner.observation.flicker import of_unit_size
@@ -407,18 +408,36 @@ def _coefficients(models: Sequence[Modelled]) -> tuple[tuple[Coefficient, ...], 
 def _influences(
     request: EstimateRequest[TemperatureModelParameters], models: Sequence[Modelled]
 ) -> tuple[Influence, ...]:
-    """Returns the influences of an error of the chamber's temperature. This error shifts every curve along the temperature axis and
-    does not change the difference between ramps. If the sensor's own thermometer is used, there is no such influence."""
-    stated = request.setup.inputs.get("temperature")
-    if stated is None or request.parameters.temperature_channel is not None:
-        return ()
+    """Returns the influences of errors of the temperatures. An error that all temperatures have in common shifts every curve along
+    the temperature axis and does not change the difference between ramps. Without the sensor's own thermometer, this is the error
+    of the chamber's temperature. With the thermometer, it follows from the counts of the thermometer, and held temperatures also
+    have separate rounding errors."""
 
     def coefficients(warmer: float) -> Array:
         return np.concatenate(
             [np.append(one.fit.warmer(warmer), [0.0] * (one.difference is not None)) for one in models]
         )
 
-    return influences_on(coefficients, [StatedCondition.single(stated, lambda by: by)])
+    thermometer = request.parameters.temperature_channel
+    counts = thermometer_counts(request.segments, thermometer, request.sensor)
+    common = request.setup.inputs.get("temperature") if thermometer is None else counts and counts.offset
+    found = () if common is None else influences_on(coefficients, [StatedCondition.single(common, lambda by: by)])
+    if counts is None:
+        return found
+    rows = {one.label: row for one, row in zip(request.segments, counts.groups, strict=True)}
+    moved = np.concatenate([_rounded(one, rows) for one in models])
+    return (*found, Influence(counts.rounding, moved, request.parameters.uncertainty == "residual", counts.parts))
+
+
+def _rounded(one: Modelled, groups: Mapping[str, Array]) -> Array:
+    """Returns the derivatives of the results of one quantity with respect to r rounding errors of the temperature, shape (m, r). Only
+    values at held temperatures have such errors: along a ramp, rounding errors average out. `groups`: for the label of each segment,
+    an array of shape (r,) that is 1 for the errors of the segment."""
+    points, step = one.points, 1e-3
+    rows = np.array([groups[label] for label in points.labels]) * (points.ramp < 0)[:, None]
+    sides = [one.fit.curve.columns(points.temperature + by) @ one.fit.coefficients for by in (step, -step)]
+    moved = -one.fit.gains @ (((sides[0] - sides[1]) / (2 * step))[:, None] * rows)
+    return np.vstack([moved, np.zeros((int(one.difference is not None), moved.shape[1]))])
 
 
 def _unstated(models: Sequence[Modelled]) -> tuple[UnstatedFlicker, ...]:
