@@ -140,6 +140,20 @@ class RepeatedValues:
     share: float
 
 
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """Describes the readings of a thermometer in one segment, in the thermometer's unit.
+
+    `values`: array of shape (n,), a part of the distinct readings, in ascending order. `share`: fraction of the readings that are
+    equal to the previous reading. `first`, `last`: means of a few readings at the beginning and at the end of the segment.
+    """
+
+    values: Array
+    share: float
+    first: float
+    last: float
+
+
 @dataclass(frozen=True)
 class RecordedSegment:
     """A recorded segment. `statistics` are computed in one pass; `blocks()` reads the samples again, block by block.
@@ -149,7 +163,7 @@ class RecordedSegment:
     has not been screened. `share`: the fraction of the segment's samples that is used. `summary`: True if only the statistics were
     recorded, so that there are no samples to read. `repeats`: maps each screened output to its repeated values.
     `parts`: maps each output at rest or at a constant rate to the means of equal parts of the segment, in the channel's unit.
-    `readings_of`: maps each thermometer to a part of its readings.
+    `readings_of`: maps each thermometer to its readings.
     """
 
     segment: Segment
@@ -164,7 +178,7 @@ class RecordedSegment:
     summary: bool = False
     repeats: Mapping[str, RepeatedValues] = field(default_factory=dict)
     parts: Mapping[str, Array] = field(default_factory=dict)
-    readings_of: Mapping[str, RepeatedValues] = field(default_factory=dict)
+    readings_of: Mapping[str, Readings] = field(default_factory=dict)
 
     def watched(self, watcher: Watcher) -> RecordedSegment:
         """Returns the segment with the results of a watcher that has seen all its samples."""
@@ -229,8 +243,8 @@ class Watcher(Protocol):
     def parts(self) -> Mapping[str, Array]:
         """Returns the means of equal parts of the segment for each output, after the findings have been returned."""
 
-    def readings(self) -> Mapping[str, RepeatedValues]:
-        """Maps each thermometer to a part of its readings; call this method after `finds`."""
+    def readings(self) -> Mapping[str, Readings]:
+        """Maps each thermometer to its readings; call this method after `finds`."""
 
 
 WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]

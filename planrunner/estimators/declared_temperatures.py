@@ -6,11 +6,15 @@ than its surroundings, or kept at one temperature by an oven. Therefore, only th
 
 - readings outside `POSSIBLE`;
 - readings that differ from the planned temperature by more than `FARTHEST`;
-- readings that change more than the planned temperature does, or in the opposite direction.
+- readings that change more than the planned temperature does, or in the opposite direction;
+- readings that change in the opposite direction to those of another thermometer.
+
+Along a ramp, the first and the last readings are compared with the planned temperatures at both ends.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
@@ -24,7 +28,7 @@ from planrunner.estimators.declared_axes import LARGEST_DEVIATION
 from planrunner.observation.drift import thermometer_of
 from planrunner.observation.refusals import EstimationError
 from planrunner.plan.kinds import Record
-from planrunner.plan.units import ZERO_CELSIUS, Unit, unit
+from planrunner.plan.units import ZERO_CELSIUS, Unit, measures, unit
 
 POSSIBLE = (-200.0, 250.0)
 """Temperatures, degC, at which inertial sensors are operated: from liquid nitrogen to deep boreholes."""
@@ -50,10 +54,11 @@ class NamesThermometer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class ThermometerReadings:
-    """Contains the readings of one thermometer in n segments, in its declared unit `unit`.
+    """Contains n readings of one thermometer, in its declared unit `unit`. There is one reading for each segment, or one for each end
+    of a ramp.
 
-    `labels`: labels of the segments. `mean`, `lowest`, `highest`: arrays of shape (n,). `planned`: array of shape (n,), temperatures
-    that the plan states, degC; NaN if a segment states none or ramps.
+    `labels`: labels of the segments. `mean`: array of shape (n,), the readings. `lowest`, `highest`: arrays of shape (n,), smallest
+    and largest sample of the segment. `planned`: array of shape (n,), temperatures that the plan states, degC; NaN if it states none.
     """
 
     channel: str
@@ -83,11 +88,7 @@ class ThermometerReadings:
     def slope(self, own: Unit) -> float:
         """Returns the change of the readings, taken in the unit `own`, divided by the change of the planned temperature; NaN if the
         planned temperature changes by less than `LEAST_CHANGE`."""
-        known = np.isfinite(self.planned) & np.isfinite(self.mean)
-        if not known.any() or np.ptp(self.planned[known]) < LEAST_CHANGE:
-            return float("nan")
-        away = self.planned[known] - self.planned[known].mean()
-        return float(away @ self.celsius(self.mean[known], own) / (away @ away))
+        return _slope(self.celsius(self.mean, own), self.planned)
 
     def credible(self, own: Unit) -> bool:
         """Returns True if the readings, taken in the unit `own`, contradict neither the plan nor the temperatures at which sensors
@@ -116,18 +117,66 @@ def thermometer_words(segments: Sequence[RecordedSegment], parameters: Record) -
         return ()
     if channel is None or len({one.units[channel] for one in segments}) > 1:
         return ()
-    return contradictions(_readings(segments, channel, unit(units[channel])))
+    against_plan = contradictions(_readings(segments, channel, unit(units[channel])))
+    others = [name for name in sorted(units) if name != channel and measures(units[name], "temperature")]
+    return against_plan or tuple(
+        said(
+            "{channel} and {other} change in opposite directions: when {other} rises by 1 K, {channel} changes by {slope:.3g} K. One of "
+            "the two thermometers has the wrong sign, or the temperatures of segments are exchanged. Coefficients that are computed "
+            "from wrong readings are wrong.",
+            channel=channel,
+            other=other,
+            slope=slope,
+        )
+        for other in others
+        if (slope := _change(segments, channel, other)) < -LARGEST_DEVIATION
+    )
+
+
+def _ends(one: RecordedSegment, channel: str) -> list[tuple[float, float]]:
+    """Returns the readings of a thermometer in a segment, in K, with the planned temperature, K, NaN if it is not known: the mean
+    at a constant temperature, or the readings at both ends of a ramp."""
+    scale, segment, statistics = unit(one.units[channel]), one.segment, one.statistics
+    mean = float(statistics.mean[statistics.of(channel)])
+    found = [(mean, math.nan if segment.temperature is None else segment.temperature)]
+    if segment.ramp_to is not None and channel in one.readings_of:
+        ends, begin = one.readings_of[channel], segment.begins_at
+        found = [(ends.first, math.nan if begin is None else begin), (ends.last, segment.ramp_to)]
+    return [(reading * scale.factor + scale.offset, planned) for reading, planned in found]
+
+
+def _change(segments: Sequence[RecordedSegment], channel: str, other: str) -> float:
+    """Returns the change of the readings of a thermometer divided by the change of the readings of another thermometer; NaN if the
+    latter change by less than `LEAST_CHANGE`."""
+    pairs = []
+    for one in segments:
+        if channel in one.readings_of and other in one.readings_of:
+            for end in ("first", "last"):
+                row = [(unit(one.units[name]), getattr(one.readings_of[name], end)) for name in (channel, other)]
+                pairs.append([scale.factor * reading for scale, reading in row])
+    return _slope(*np.array(pairs).reshape(-1, 2).T)
+
+
+def _slope(readings: Array, reference: Array) -> float:
+    """Returns the slope of readings (n,) over a reference temperature (n,), both in K; NaN if the reference changes by less than
+    `LEAST_CHANGE`."""
+    known = np.isfinite(reference) & np.isfinite(readings)
+    if not known.any() or np.ptp(reference[known]) < LEAST_CHANGE:
+        return float("nan")
+    away = reference[known] - reference[known].mean()
+    return float(away @ readings[known] / (away @ away))
 
 
 def _readings(segments: Sequence[RecordedSegment], channel: str, own: Unit) -> ThermometerReadings:
-    columns = []
+    columns, labels = [], []
     for one in segments:
-        place, planned = one.statistics.of(channel), one.segment.temperature
-        stated = np.nan if planned is None else planned - ZERO_CELSIUS
-        found = one.statistics
-        columns.append((found.mean[place], found.minimum[place], found.maximum[place], stated))
+        place, found = one.statistics.of(channel), one.statistics
+        for kelvin, planned in _ends(one, channel):
+            reading = (kelvin - own.offset) / own.factor
+            columns.append((reading, found.minimum[place], found.maximum[place], planned - ZERO_CELSIUS))
+            labels.append(one.label)
     mean, lowest, highest, stated = np.array(columns, dtype=float).T
-    return ThermometerReadings(channel, own, tuple(one.label for one in segments), mean, lowest, highest, stated)
+    return ThermometerReadings(channel, own, tuple(labels), mean, lowest, highest, stated)
 
 
 def contradictions(found: ThermometerReadings) -> tuple[Said, ...]:

@@ -36,6 +36,7 @@ from planrunner.archive.recording import (
     Find,
     FindKind,
     Ranges,
+    Readings,
     RecordedSegment,
     RepeatedValues,
     Statistics,
@@ -90,6 +91,7 @@ _HELD = 2_000  # most stretches of equal samples that are kept for the test at t
 _SHORT = 64  # lengths of runs that are counted one by one
 _SHOWN = 256  # runs of equal samples whose values are kept, to show the count of a channel
 _READINGS = 4096  # different readings of a thermometer that are kept
+_AT_END = 10  # readings of a thermometer whose mean is kept for either end of a segment
 _RUNS = 20  # fewest runs from which the usual length is determined
 _BINS, _FEWEST_BINS = 1024, 64  # means in which steps are sought
 PARTS = 16
@@ -147,7 +149,16 @@ def watch_of(sensor: SensorModel) -> WatcherOf:
         steady = isinstance(segment.motion, Rest | Spin) and segment.attitude is not None
         still = steady and isinstance(segment.motion, Rest)
         stopping = isinstance(segment.motion, Cycle)
-        return Screening(counts, scales, rows, steady=steady, still=still, stopping=stopping, angles=angles, thermometers=thermometers)
+        return Screening(
+            counts,
+            scales,
+            rows,
+            steady=steady,
+            still=still,
+            stopping=stopping,
+            angles=angles,
+            thermometers=thermometers,
+        )
 
     return watch
 
@@ -332,24 +343,34 @@ class _Runs:
 
 
 class _Readings:
-    """Keeps a part of the readings of a thermometer, to show its count: of each block, a few readings at equal distances, and
-    whether the first readings repeat."""
+    """Keeps a part of the readings of a thermometer: of each block, a few readings at equal distances, and whether the first
+    readings repeat. The readings at the beginning and at the end of the segment are kept as well."""
 
     def __init__(self) -> None:
         self.values: Array = np.empty(0)
         self.seen = self.repeated = 0
+        self.begin: Array = np.empty(0)
+        self.end: Array = np.empty(0)
 
     def add(self, values: Array) -> None:
         """Adds the next readings, shape (n,)."""
-        first = values[:_SHOWN]
-        self.repeated += int(np.count_nonzero(first[1:] == first[:-1]))
-        self.seen += max(len(first) - 1, 0)
+        head, tail = values[:_SHOWN], values[-_AT_END:]
+        self.repeated += int(np.count_nonzero(head[1:] == head[:-1]))
+        self.seen += max(len(head) - 1, 0)
+        if len(self.begin) < _AT_END:
+            self.begin = np.concatenate([self.begin, _numbers_only(head)])[:_AT_END]
+        self.end = np.concatenate([self.end, _numbers_only(tail)])[-_AT_END:]
         if len(self.values) < _READINGS:
             some = values[:: max(len(values) // _SHOWN, 1)]
-            self.values = np.union1d(self.values, some[np.abs(some) < _LARGEST])[:_READINGS]
+            self.values = np.union1d(self.values, _numbers_only(some))[:_READINGS]
 
-    def shown(self) -> RepeatedValues:
-        return RepeatedValues(self.values, self.repeated / max(self.seen, 1))
+    def shown(self) -> Readings:
+        ends = [float(one.mean()) if len(one) else math.nan for one in (self.begin, self.end)]
+        return Readings(self.values, self.repeated / max(self.seen, 1), *ends)
+
+
+def _numbers_only(values: Array) -> Array:
+    return np.asarray(values[np.abs(values) < _LARGEST])  # false for NaN as well
 
 
 class Screening:
@@ -476,8 +497,8 @@ class Screening:
         samples. The result is empty unless the sensor is at rest or at a constant rate. The method must be called after `finds`."""
         return self.in_parts
 
-    def readings(self) -> dict[str, RepeatedValues]:
-        """Returns the different readings that each thermometer showed, and how often a reading repeats the one before it."""
+    def readings(self) -> dict[str, Readings]:
+        """Returns the readings of each thermometer."""
         return {name: one.shown() for name, one in self.thermometers.items()}
 
     def _look_at_filled(self) -> None:

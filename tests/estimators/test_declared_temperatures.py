@@ -16,6 +16,7 @@ from planrunner.estimators.declared_temperatures import thermometer_words
 from planrunner.estimators.imu.imu_multi_position import ImuMultiPositionParameters
 from planrunner.estimators.repeatability import RepeatabilityParameters
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters
+from planrunner.observation.screening import screened
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import EstimateSpec
 from planrunner.plan.quantity import parse_quantity
@@ -92,6 +93,49 @@ def test_the_estimate_of_a_temperature_model_has_the_warning() -> None:
 def test_a_reversed_reading_contradicts_the_plan() -> None:
     [text] = words(lambda t: -t, "degC")
     assert "temp changes by -1 K for each kelvin" in text
+
+
+RAMPS = ((20.0, 60.0), (60.0, -20.0), (-20.0, 20.0))  # degC
+
+
+def along_ramps(
+    read: Callable[[np.ndarray], np.ndarray], planned: bool, chamber: Callable[[np.ndarray], np.ndarray] | None = None
+) -> list[RecordedSegment]:
+    """Ramps of the chamber, which the sensor follows with a delay. `chamber`: reading of a second thermometer."""
+    found, outputs = [], sensor("gyro_x", unit="deg/s")
+    for number, (begin, end) in enumerate(RAMPS):
+        time = 100.0 * number + np.arange(200) / 10
+        air = np.linspace(begin, end, 200)
+        true = np.concatenate([np.full(20, begin), air[:-20]])
+        values = {"gyro_x": 0.001 * true, "temp": read(true)}
+        if chamber is not None:
+            values["chamber"] = chamber(air)
+        step = segment(f"S{number}", np.eye(3), dwell=20.0)
+        if planned:
+            step = replace(step, kept_temperature=begin + 273.15, ramp_to=end + 273.15)
+        found.append(
+            from_samples(step, time, values, {name: "deg/s" if name == "gyro_x" else "degC" for name in values})
+        )
+    return list(screened(found, outputs))
+
+
+def along_words(made: list[RecordedSegment]) -> tuple[str, ...]:
+    return thermometer_words(made, TemperatureModelParameters(channels=("gyro_x",), temperature_channel="temp"))
+
+
+def test_a_reversed_reading_contradicts_planned_ramps() -> None:
+    """The mean temperatures of ramps hardly differ, but their ends do."""
+    assert along_words(along_ramps(lambda t: t, True)) == ()
+    [text] = along_words(along_ramps(lambda t: 40 - t, True))
+    assert "temp changes by -" in text and "its sign" in text
+
+
+def test_a_reversed_reading_contradicts_another_thermometer() -> None:
+    """Nothing is planned; the chamber records its own temperature."""
+    assert along_words(along_ramps(lambda t: t, False, lambda t: t)) == ()
+    assert along_words(along_ramps(lambda t: 70 + 0.01 * t, False, lambda t: t)) == ()  # an oven
+    [text] = along_words(along_ramps(lambda t: 40 - t, False, lambda t: t))
+    assert "temp and chamber change in opposite directions" in text
 
 
 def test_counts_and_failed_samples_are_no_temperatures() -> None:

@@ -1,9 +1,10 @@
 """Computes how errors of the meters for supply voltage, ambient pressure and temperature change the observations of a model.
 
-Each meter for supply voltage or pressure may have two errors that are the same in all segments: a zero error, and a relative error of the reading. These errors
-cause no scatter between segments, so their contributions are added to the contribution of the data (JCGM 100:2008, F.1.2.3). The
-errors of a meter also act if the plan states the voltage or the pressure, because the stated value was read from a meter. Each
-change is computed for a reading that is too large; for a reading that is too small, it has the opposite sign.
+Each meter for supply voltage or pressure may have two errors that are the same in all segments: a zero error, and a relative error
+of the reading. These errors cause no scatter between segments, so their contributions are added to the contribution of the data
+(JCGM 100:2008, F.1.2.3). The errors of a meter also act if the plan states the voltage or the pressure, because the stated value
+was read from a meter. Each change is computed for a reading that is too large; for a reading that is too small, it has the opposite
+sign.
 
 The errors of a thermometer follow from its counts (`thermometer_counts`).
 """
