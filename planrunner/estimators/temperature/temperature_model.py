@@ -420,7 +420,8 @@ def _influences(
 
     thermometer = request.parameters.temperature_channel
     counts = thermometer_counts(request.segments, thermometer, request.sensor)
-    common = request.setup.inputs.get("temperature") if thermometer is None else counts and counts.offset
+    own = None if counts is None else counts.offset
+    common = request.setup.inputs.get("temperature") if thermometer is None else own
     found = () if common is None else influences_on(coefficients, [StatedCondition.single(common, lambda by: by)])
     if counts is None:
         return found
