@@ -141,7 +141,7 @@ class RepeatedValues:
 
 
 @dataclass(frozen=True, slots=True)
-class Readings:
+class TemperatureReadings:
     """Describes the readings of a thermometer in one segment, in the thermometer's unit.
 
     `values`: array of shape (n,), a part of the distinct readings, in ascending order. `share`: fraction of the readings that are
@@ -178,7 +178,7 @@ class RecordedSegment:
     summary: bool = False
     repeats: Mapping[str, RepeatedValues] = field(default_factory=dict)
     parts: Mapping[str, Array] = field(default_factory=dict)
-    readings_of: Mapping[str, Readings] = field(default_factory=dict)
+    readings_of: Mapping[str, TemperatureReadings] = field(default_factory=dict)
 
     def watched(self, watcher: Watcher) -> RecordedSegment:
         """Returns the segment with the results of a watcher that has seen all its samples."""
@@ -243,7 +243,7 @@ class Watcher(Protocol):
     def parts(self) -> Mapping[str, Array]:
         """Returns the means of equal parts of the segment for each output, after the findings have been returned."""
 
-    def readings(self) -> Mapping[str, Readings]:
+    def readings(self) -> Mapping[str, TemperatureReadings]:
         """Maps each thermometer to its readings; call this method after `finds`."""
 
 

@@ -36,10 +36,10 @@ from planrunner.archive.recording import (
     Find,
     FindKind,
     Ranges,
-    Readings,
     RecordedSegment,
     RepeatedValues,
     Statistics,
+    TemperatureReadings,
     WatcherOf,
 )
 from planrunner.archive.statistics import statistics_of
@@ -364,9 +364,9 @@ class _Readings:
             some = values[:: max(len(values) // _SHOWN, 1)]
             self.values = np.union1d(self.values, _numbers_only(some))[:_READINGS]
 
-    def shown(self) -> Readings:
+    def shown(self) -> TemperatureReadings:
         ends = [float(one.mean()) if len(one) else math.nan for one in (self.begin, self.end)]
-        return Readings(self.values, self.repeated / max(self.seen, 1), *ends)
+        return TemperatureReadings(self.values, self.repeated / max(self.seen, 1), *ends)
 
 
 def _numbers_only(values: Array) -> Array:
@@ -497,7 +497,7 @@ class Screening:
         samples. The result is empty unless the sensor is at rest or at a constant rate. The method must be called after `finds`."""
         return self.in_parts
 
-    def readings(self) -> dict[str, Readings]:
+    def readings(self) -> dict[str, TemperatureReadings]:
         """Returns the readings of each thermometer."""
         return {name: one.shown() for name, one in self.thermometers.items()}
 
