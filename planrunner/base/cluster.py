@@ -74,7 +74,7 @@ class _Answer:
     """The answer to a task. The answer contains the results of the items up to the first item that failed, and the exception of
     this item. If the worker cannot compute, it contains the reason instead.
 
-    `seconds`: the time that computing took, s. `unseen`: a path that the worker does not see; otherwise empty. `worker`: name of
+    `seconds`: the time that computing took, s. `unseen`: a path that the worker cannot access; otherwise empty. `worker`: name of
     the worker. `unfit`: maps each library whose versions differ to the pair (version here, version on the worker)."""
 
     results: tuple[object, ...] = ()
@@ -109,7 +109,7 @@ def computed_on_cluster(
     tell: Callable[[float], None] | None = None,
 ) -> Iterator[R]:
     """Yields the results of `work` for all items, in the order of the items; see `workers.results_in_order`. `address`: the address
-    of the cluster's scheduler. Raises `ClusterError` if the cluster cannot be used, for example because a worker does not see a
+    of the cluster's scheduler. Raises `ClusterError` if the cluster cannot be used, for example because a worker cannot access a
     path among the items, and `ProcessEndedError` if the cluster ends. `tell`: a function that is called with the completed
     fraction."""
     if not items:
@@ -306,7 +306,7 @@ def _require_fit(answer: _Answer, terms: _Terms, address: str) -> None:
         hint = "install the same versions on each worker: results are otherwise not the same to the last digit"
         raise ClusterError.at(Mark(_SCHEDULER), "scheduler-versions", message, hint)
     if answer.unseen:
-        message = f"the worker {answer.worker} of {address} does not see {answer.unseen}"
+        message = f"the worker {answer.worker} of {address} cannot access {answer.unseen}"
         where = os.path.join(terms.directory, answer.unseen)
         raise ClusterError.at(
             Mark(_SCHEDULER), "scheduler-folder", message, f"share {where} with each worker, under the same path"

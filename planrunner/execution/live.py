@@ -108,7 +108,7 @@ class _Samples:
         self.strip.append((self.last, new))
 
     def begin(self) -> None:
-        """Starts a new set of samples; the strips of recent statistics continue."""
+        """Starts a new set of samples; the strip charts of recent statistics continue."""
         self.waiting, self.rows, self.moments = [], 0, None
 
 
@@ -133,7 +133,7 @@ class LiveReport:
         self._samples, self._hidden = _Samples(shown), len(channels) - len(shown)
 
     def begin(self, segment: Segment) -> None:
-        """Begins a segment: resets the statistics, and continues the strips of recent statistics."""
+        """Begins a segment: resets the statistics of the segment, and continues the strip charts."""
         self._index, self._label = segment.index, segment.label
         self._samples.begin()
 

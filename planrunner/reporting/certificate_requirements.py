@@ -151,8 +151,8 @@ def _list(names: list[str]) -> str:
 def check_certificate(
     plan: Plan, bench: Bench, schedule: Schedule | None, known: Collection[str], log: Findings
 ) -> None:
-    """Adds errors, at the first certificate in the plan's `report`, for information that the certificate could not show. `known`:
-    names of existing reports; unknown names are reported elsewhere."""
+    """Adds an error for each piece of information that a certificate requires but could not show. The errors are placed at the first
+    certificate in the plan's `report`. `known`: names of existing reports; unknown names are reported elsewhere."""
     places = [index for index, name in enumerate(plan.report) if is_certificate(name) and name in known]
     if not places:
         return

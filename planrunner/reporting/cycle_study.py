@@ -24,7 +24,7 @@ TITLES = {"planned": "as planned", "same order": "same order of stops", "free or
 
 
 def study(found: FoundCycles, subject: Subject) -> Study:
-    """Makes the complete output for a designed cycle."""
+    """Makes the study of a designed cycle: a headline, tables, notes and plots."""
     about = facts(found)
     said = notes(found)
     reason = found.reasons.get(found.chosen, "none was found")

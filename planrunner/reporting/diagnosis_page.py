@@ -308,7 +308,8 @@ def priors_words(found: Data) -> str:
 
 
 def probability(p: float) -> str:
-    """Returns a probability as text with its significant digits, never as 0 or 1."""
+    """Returns a probability as text. It has three decimals near 0 and 1, and two decimals otherwise. Below 0.001 and above 0.999, it
+    is written as a bound."""
     if p > 0.999:
         return "P > 0.999"
     return "P < 0.001" if p < 0.001 else f"P = {p:.3f}" if p > 0.99 or p < 0.01 else f"P = {p:.2f}"

@@ -21,7 +21,7 @@ FOOTER = (
 
 
 def study(found: FoundPositions, subject: Subject) -> Study:
-    """Makes the complete output for designed positions."""
+    """Makes the study of designed positions: a headline, tables, notes and plots."""
     about = facts(found)
     said = notes(found)
     return Study(

@@ -20,7 +20,7 @@ FOOTER = (
 
 
 def study(found: FoundRates, subject: Subject) -> Study:
-    """Makes the complete output for designed rates."""
+    """Makes the study of designed rates: a headline, tables, notes and plots."""
     about = facts(found)
     said = notes(found)
     return Study(

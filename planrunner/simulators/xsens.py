@@ -38,8 +38,8 @@ class Xsens:
         return _INTEGERS.get(item) or _COMPONENTS[whole] * (4, 4, 6, 8)[item & 3]
 
     def frames(self, columns: Mapping[int, Values]) -> Bytes:
-        """Makes packets (n, length). `columns`: the values by identifier (without its format), arrays of shape (n,) or (n,
-        components), in SI units and degC."""
+        """Makes packets (n, length). `columns`: maps each identifier, without the bits of its format, to its values: arrays of shape
+        (n,) or (n, components), in SI units and degC."""
         count = len(next(iter(columns.values())))
         parts = []
         for item in self.items:

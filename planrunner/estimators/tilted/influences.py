@@ -1,8 +1,8 @@
 """Computes the Type B influences on scale factors of tilted axes. The sources of these influences are the fixture, the table, the
 site, the temperature, the resolution, and drift of the zero.
 
-Fixture, table and site are conditions of the function that computes the results. The other sources change the means of segments.
-Each change of a mean is multiplied by the sensitivity of the results to this mean.
+Fixture, table and site are arguments (`conditions`) of the function that computes the results. The other sources change the means of
+segments. Each change of a mean is multiplied by the sensitivity of the results to this mean.
 """
 
 from __future__ import annotations

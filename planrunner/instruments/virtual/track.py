@@ -92,7 +92,7 @@ class Track:
 
     @property
     def pace(self) -> float:
-        """Returns the largest rate of change [rad/s] of the phases in the stimulus that the carrier causes."""
+        """Returns an upper limit of the angular frequencies [rad/s] at which the motion of the carrier changes the stimulus."""
         turning = 2 * math.pi / self.progress.period if self.progress.period is not None else 0.0
         return turning + 2 * self.progress.speed / (ellipsoid.MEAN_RADIUS * math.cos(POLAR))
 
