@@ -110,6 +110,8 @@ def _print(look: Look) -> None:
     terminal.console().print(table)
     if look.other:
         print(f"other columns of numbers: {', '.join(look.other[:20])}{' …' if len(look.other) > 20 else ''}")
+    for reason in look.unread:
+        print(f"not read: {reason}")
     if look.sparse:
         print(f"columns with a number in few rows, not used: {', '.join(look.sparse)}")
     if look.other_rate is not None:

@@ -75,6 +75,10 @@ _OTHER_RATES = 0.05  # share of the windows from which another rate is reported
 _RATES_DIFFER = 10.0  # times the noise of a sample: step of the mean of a gyro that shows two rates
 _ABOVE_DRIFT = 3.0  # times the range of the mean within intervals
 _LEAST_DWELL = 3 * WINDOW  # s that must remain of an interval without its ends
+_ALIKE_SPREAD, _MOST_SPREAD = 0.01, 3.0
+"""Median deviation of the length of three columns from gravity. Up to the first value, or up to the second value times the smallest
+deviation of all columns, the columns may be accelerometers."""
+_ALIKE_NOISE = math.log(2.5)  # logarithm of the ratio between the noises of the axes of one sensor
 _DIRECTIONS = 15.0  # deg between two poses that count as different
 _NAME = re.compile(r"[^A-Za-z0-9_]+")
 
@@ -141,7 +145,8 @@ class Look:
     accelerometer. `still`: spans without motion. `backwards`: number of rows whose time does not increase; if there are such rows,
     the time is not used, and rows are counted instead. `pauses`: number of pauses, and the length of the shortest one, s. `motion`:
     comparison of gyros and accelerometers during turns; None if it gives no clear result. `contents`: a text for each table of a file
-    with several tables, such as the topics of a ROS bag."""
+    with several tables, such as the topics of a ROS bag. `unread`: for each column that cannot be read although its name suggests a time
+    or a channel, the reason."""
 
     file: str
     format: Format | None
@@ -157,6 +162,7 @@ class Look:
     pauses: tuple[int, float] = (0, 0.0)
     motion: TurnComparison | None = None
     contents: tuple[str, ...] = ()
+    unread: tuple[str, ...] = ()
 
     @property
     def other_rate(self) -> tuple[float, float] | None:
@@ -236,11 +242,12 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
             if likely is None
             else likely.time
         )
+        unread = not_numbers(whole, columns) if likely is None else {}
         rate = rate if likely is None else None  # the rows of a table of readings cannot be counted
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
             hint = "state the sample rate, such as --sample-rate '100 Hz'"
-            if unread := not_numbers(whole, columns):
+            if unread:
                 message = f"{message}; {next(iter(unread.values()))}"
                 hint = f"correct the file, or {hint}"
             raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
@@ -251,7 +258,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         guesses = guessed_channels(
             [column for column in columns if stamp is None or column != stamp.column], whole.units()
         )
-        guesses = _named_or_alike(guesses, first)
+        guesses = _named_or_alike(guesses, first, 1 / found)
         clock = _Clock(stamp, max(PAUSE, _PERIODS / found))
         wanted = [one.column for one in guesses]
         windows, rows, counts = _windows(clock.watched(file.all_rows()), wanted, found, file.about, clock, notice)
@@ -265,7 +272,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     if not any(one.sensed in ("gyro", "accel") for one in guesses):
         message = f"no column looks like a gyro or an accelerometer: {', '.join(columns[:12])}"
         hint = "describe the recording in a bench file, as docs/recording-formats.md shows"
-        if unread := not_numbers(whole, columns):
+        if unread:
             message, hint = f"no gyro or accelerometer can be read: {next(iter(unread.values()))}", "correct the file"
         raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
     samples = max(counts[one.column] for one in guesses if one.sensed in ("gyro", "accel"))
@@ -292,6 +299,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         pauses,
         motion,
         whole.contents(),
+        tuple(unread.values()),
     )
 
 
@@ -390,30 +398,56 @@ class _Clock:
         return whole if abs(whole / median - 1) < _SAME_RATE else median
 
 
-def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array]) -> list[Guess]:
+def _named_or_alike(guesses: list[Guess], first: Mapping[str, Array], period: float) -> list[Guess]:
     """Returns the guesses about the columns. If the names of the columns show nothing, the guesses are completed from the values.
 
     If no name suggests a gyro or an accelerometer, the function searches for three neighbouring columns whose vector is as long as
-    gravity. These columns are assumed to be the accelerometers. Three columns next to them are assumed to be the gyros. If the
-    names of three columns state the axes x, y and z, the columns get these axes; otherwise they are x, y and z in their order.
-    `first`: the first rows of each column."""
+    gravity, or as its integral over one sample period. These columns are assumed to be the accelerometers. Three columns next to them
+    are assumed to be the gyros. If the names of three columns state the axes x, y and z, the columns get these axes; otherwise they
+    are x, y and z in their order. `first`: the first rows of each column. `period`: sample period, s."""
     if any(one.sensed in ("accel", "gyro") for one in guesses):
         return guesses
+    begin = _like_gravity(guesses, first, (STANDARD_GRAVITY, 1.0), counts=True)
+    increments = begin is None
+    if begin is None:
+        begin = _like_gravity(guesses, first, (STANDARD_GRAVITY * period,), counts=False)
+    if begin is None:
+        return guesses
+    after = [guesses[k : k + 3] for k in range(begin + 3, len(guesses) - 2, 3)][:2]
+    triads = [*after, guesses[max(begin - 3, 0) : begin]]
+    matrix = guesses[begin].column.partition("[")[0]
+    triads.sort(key=lambda three: any(one.column.partition("[")[0] != matrix for one in three if "[" in one.column))
+    sensed = _axes("accel", guesses[begin : begin + 3])
+    gyros = next((one for one in triads if len(one) == 3 and not _turns_with_the_sensor(first, one)), None)
+    if gyros is not None:
+        sensed |= _axes("gyro", gyros)
+    return [
+        Guess(one.column, *sensed.get(one.column, ("", "")), one.unit, increments and one.column in sensed)
+        for one in guesses
+    ]
+
+
+def _like_gravity(
+    guesses: Sequence[Guess], first: Mapping[str, Array], lengths: Sequence[float], *, counts: bool
+) -> int | None:
+    """Returns the index of the first of three neighbouring columns whose vector is as long as gravity; None if there are none.
+
+    If several sets of three columns fit, the scatter of the length decides, then the similarity of the noise of the three columns.
+    `first`: the first rows of each column. `lengths`: the possible lengths of gravity. `counts`: True if the columns may also contain
+    raw counts."""
+    fitting: list[tuple[float, float, int]] = []
     for begin in range(0, len(guesses) - 2):
         three = guesses[begin : begin + 3]
         norm = np.sqrt(sum(first[one.column] ** 2 for one in three))
         level = _median(norm)
-        alike = any(abs(math.log(max(level, 1e-9) / one_g)) < GRAVITY_ALIKE for one_g in (STANDARD_GRAVITY, 1.0))
-        if not alike and not (_of_counts(level) and _turns_with_the_sensor(first, three)):
-            continue
-        after = [guesses[k : k + 3] for k in range(begin + 3, len(guesses) - 2, 3)][:2]
-        triads = [*after, guesses[max(begin - 3, 0) : begin]]
-        sensed = _axes("accel", three)
-        gyros = next((one for one in triads if len(one) == 3 and not _turns_with_the_sensor(first, one)), None)
-        if gyros is not None:
-            sensed |= _axes("gyro", gyros)
-        return [Guess(one.column, *sensed.get(one.column, ("", "")), one.unit) for one in guesses]
-    return guesses
+        alike = any(abs(math.log(max(level, 1e-12) / one_g)) < GRAVITY_ALIKE for one_g in lengths)
+        if alike or (counts and _of_counts(level) and _turns_with_the_sensor(first, three)):
+            noise = [_median(np.abs(np.diff(first[one.column]))) for one in three]
+            unlike = math.log(max(noise) / min(noise)) if min(noise) > 0 else math.inf
+            fitting.append((_median(np.abs(norm / level - 1)), unlike, begin))
+    least = min((spread for spread, _, _ in fitting), default=0.0)
+    near = [one for one in fitting if one[0] <= max(_ALIKE_SPREAD, _MOST_SPREAD * least)]
+    return min(near, key=lambda one: (one[1] > _ALIKE_NOISE, one[2]), default=(0.0, 0.0, None))[2]
 
 
 def _of_counts(level: float) -> bool:

@@ -18,13 +18,19 @@ from planrunner.base.dataclass import dataclass
 from planrunner.plan.span import Span
 from planrunner.plan.units import unit
 
-UNITS = ("rad/s", "deg/s", "deg/h")
+UNITS = ("rad/s", "mrad/s", "deg/s", "mdeg/s", "deg/h")
 LEAST_TURNS = 4
 """Smallest number of turns from which a conclusion is drawn."""
 _LEAST_ANGLE = 20.0  # deg by which gravity must turn
 _LONGEST = 30.0  # s of a turn, over which the bias of a gyro may add up
 _AGREES = 15.0  # deg of median error with which gyros and accelerometers agree
 _CLEARLY = 3.0  # times this error, and more, for any other explanation of another unit or other axes
+_LEAST_AGAINST = 3  # turns that must contradict another explanation, if half of the turns do not
+_FEW = 0.2  # largest share of turns that may speak for the other explanation
+_MOST = 45.0  # deg: all errors above count alike, as of a turn that was disturbed
+
+
+_OWN = ("x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,8 +38,8 @@ class TurnComparison:
     """Contains the result of a comparison of gyros with accelerometers.
 
     `unit`: unit of the gyros. `axes`: for each of the gyros x, y and z, the axis in the accelerometers' frame about which the gyro
-    measures, with a sign, such as `-y`. `error`: median angle [deg] between the direction of gravity that is measured after a turn
-    and the direction that is computed from the gyros."""
+    measures, with a sign, such as `-y`. An axis is empty if the turns do not show it. `error`: median angle [deg] between the direction
+    of gravity that is measured after a turn and the direction that is computed from the gyros."""
 
     unit: str
     axes: tuple[str, str, str]
@@ -41,7 +47,7 @@ class TurnComparison:
 
     @property
     def same_axes(self) -> bool:
-        return self.axes == ("x", "y", "z")
+        return all(axis in ("", own) for axis, own in zip(self.axes, "xyz", strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,23 +65,41 @@ class _Turn:
 def turns_compared(gyro: Array, accel: Array, begin: Array, end: Array, still: Sequence[Span]) -> TurnComparison | None:
     """Compares gyros with accelerometers over the turns between the intervals at rest `still`.
 
-    Returns None if there are fewer than `LEAST_TURNS` turns. Also returns None unless exactly one combination of a unit and an
-    assignment of axes makes gyros and accelerometers agree. `gyro`, `accel`: arrays of shape (n, 3), averages of the outputs over n
-    windows. `begin`, `end`: arrays of shape (n,), start and end times of the windows, s."""
+    Returns None if there are fewer than `LEAST_TURNS` turns, or if no combination of a unit and an assignment of axes makes gyros and
+    accelerometers agree. Also returns None if two units do. If several assignments of axes do, those axes are left empty in which
+    they differ, except that the axes count as equal to those of the accelerometers if nothing contradicts this. `gyro`, `accel`:
+    arrays of shape (n, 3), averages of the outputs over n windows. `begin`, `end`: arrays of shape (n,), start and end times of the
+    windows, s."""
     turns = list(_turns(gyro, accel, begin, end, still))
     if len(turns) < LEAST_TURNS:
         return None
-    found = sorted(
-        (
-            TurnComparison(word, axes, _error(turns, unit(word).factor * matrix))
-            for word in UNITS
-            for axes, matrix in _signed_axes()
-        ),
-        key=lambda one: one.error,
-    )
-    best, *others = found
-    clear = others[0].error > max(_AGREES, _CLEARLY * best.error)
-    return best if best.error < _AGREES and clear else None
+    found = [
+        (word, axes, _errors(turns, unit(word).factor * matrix)) for word in UNITS for axes, matrix in _signed_axes()
+    ]
+    word, axes, best = min(found, key=lambda one: float(np.minimum(one[2], _MOST).mean()))
+    error = float(np.median(best))
+    if error >= _AGREES:
+        return None
+    left = [one for one in found if not _contradicted(one[2], best)]
+    if any(other != word for other, _, _ in left):
+        return None
+    possible = [axes for _, axes, _ in left]
+    if _OWN not in possible:
+        x, y, z = (own if all(one[k] == own for one in possible) else "" for k, own in enumerate(axes))
+        return TurnComparison(word, (x, y, z), error)
+    return TurnComparison(word, _OWN, error)
+
+
+def _contradicted(errors: Array, best: Array) -> bool:
+    """Returns True if the turns contradict an explanation.
+
+    They do if its median error is large, or if its error is large in some turns that the best explanation describes, and hardly any
+    turn speaks for it. `errors`, `best`: arrays of shape (n,), errors [deg] of the explanation and of the best one in each turn."""
+    if float(np.median(errors)) > max(_AGREES, _CLEARLY * float(np.median(best))):
+        return True
+    against = np.count_nonzero((errors > np.maximum(_AGREES, _CLEARLY * best)) & (best < _AGREES))
+    in_favour = np.count_nonzero((best > np.maximum(_AGREES, _CLEARLY * errors)) & (errors < _AGREES))
+    return bool(against >= _LEAST_AGAINST and in_favour <= _FEW * against)
 
 
 def _turns(gyro: Array, accel: Array, begin: Array, end: Array, still: Sequence[Span]) -> Iterator[_Turn]:
@@ -108,9 +132,9 @@ def _signed_axes() -> Iterator[tuple[tuple[str, str, str], Array]]:
             yield (x, y, z), matrix
 
 
-def _error(turns: Sequence[_Turn], matrix: Array) -> float:
-    """Returns the median angle [deg] between the direction of gravity that is measured after a turn and the direction that is
-    computed from the gyros.
+def _errors(turns: Sequence[_Turn], matrix: Array) -> Array:
+    """Returns, for each turn, the angle [deg] between the direction of gravity that is measured after the turn and the direction
+    that is computed from the gyros, shape (n,).
 
     In the axes of the sensor, a direction u that is fixed in space follows du/dt = -ω × u. `matrix`: converts outputs of the gyros
     to rates in rad/s about the axes of the accelerometers."""
@@ -122,4 +146,4 @@ def _error(turns: Sequence[_Turn], matrix: Array) -> float:
         for rotation in Rotation.from_rotvec(-turn.steps @ matrix.T):
             computed = rotation.apply(computed)
         angles.append(math.degrees(math.acos(min(1.0, max(-1.0, float(computed @ turn.after))))))
-    return float(np.median(angles))
+    return np.array(angles)

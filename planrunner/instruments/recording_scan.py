@@ -232,11 +232,16 @@ def _on_gaps(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -
     one, seen = max(holed, key=lambda pair: pair[1].gap)
     total = sum(each.gaps for _, each in holed)
     where = f"{len(holed)} segments; the longest" if len(holed) > 1 else f"'{one.label}'; the longest"
-    message = (
-        f"{name}: samples are missing at {total} places in {where} gap lasts {seen.gap:.4g} s, from "
-        f"{seen.at:.9g} s in '{one.label}'"
-    )
-    log.warning("recording-gap", one.mark, message, "check the logger; estimates use the existing samples")
+    place = f"gap lasts {seen.gap:.4g} s, from {seen.at:.9g} s in '{one.label}'"
+    message = f"{name}: samples are missing at {total} places in {where} {place}"
+    hint = "check the logger; estimates use the existing samples"
+    missing = sum((each.last - each.first) / found.period + 1 - each.rows for _, each in holed)
+    if missing < total / 2:
+        message = (
+            f"{name}: the times are irregular, although hardly any samples are missing: {total} gaps in {where} {place}"
+        )
+        hint = "check the logger; if its samples are regular, but their times are not, write `time: sample_count`"
+    log.warning("recording-gap", one.mark, message, hint)
 
 
 def _on_ends(wanted: Sequence[Wanted], found: _Pass, name: str, log: Findings) -> None:

@@ -35,8 +35,9 @@ _UNCHANGED = 1e-6
 
 def axes_note(axes: tuple[str, str, str]) -> tuple[str, str]:
     """Returns the message and the hint of a finding about wrong axes. `axes`: the actual input axes of the gyros x, y and z, in the
-    frame of the accelerometers."""
-    turns = ", ".join(f"gyro_{gyro} turns about {axis}" for gyro, axis in zip("xyz", axes, strict=True))
+    frame of the accelerometers. An axis is empty if it is unknown."""
+    known = zip("xyz", (axis or "an unknown axis" for axis in axes), strict=True)
+    turns = ", ".join(f"gyro_{gyro} turns about {axis}" for gyro, axis in known)
     return (
         f"Gyros and accelerometers have different axes. In the axes of the accelerometers: {turns}.",
         "Exchange columns, or write `sign: -1` for a channel, until the gyros and the accelerometers have the same axes.",
@@ -126,6 +127,7 @@ def bench_of(look: Look, name: str) -> str:
     if look.sparse:
         lines.append(f"    # Columns with a number in few rows, from a slower instrument: {', '.join(look.sparse)}.")
         lines.append("    # As a channel, such a column would remove all other rows.")
+    lines += [f"    # Not read: {reason}" for reason in look.unread[:MOST_CONTENTS]]
     if look.other:
         lines.append(f"    # Other columns of numbers: {', '.join(look.other[:40])}")
     return "\n".join(lines) + "\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tracemalloc
 from pathlib import Path
@@ -12,6 +13,7 @@ from planrunner.base.findings import Findings
 from planrunner.instruments.formats import json_samples, json_scan
 from planrunner.instruments.formats.choice import open_file
 from planrunner.instruments.formats.file import AnyFile, TimeStamps
+from planrunner.instruments.formats.json_scan import JsonScanner
 from planrunner.instruments.interfaces import InstrumentError
 
 
@@ -134,3 +136,14 @@ def test_the_key_samples_belongs_to_the_format(tmp_path: Path) -> None:
     file = open_file(tmp_path / "r.json", "r.json", TimeStamps("t"), {}, made)
     with pytest.raises(InstrumentError, match=r"r\.json has no list 'a\.b'; correct the key `samples`"):
         file.look()
+
+
+@pytest.mark.parametrize("piece", range(1, 40))
+def test_values_that_continue_in_the_next_piece_of_the_file(monkeypatch: pytest.MonkeyPatch, piece: int) -> None:
+    """A piece of the file may end within a number, such as after the 12 of 12.25e-3."""
+    monkeypatch.setattr(json_scan, "PIECE", piece)
+    scanner = JsonScanner(io.BytesIO(b'{"a": [0.5, 12.25e-3, -7], "b": 1.5}'), "r.json")
+    numbers = []
+    for key in scanner.members():
+        numbers += [scanner.value() for _ in scanner.elements()] if key == "a" else [scanner.value()]
+    assert numbers == [0.5, 12.25e-3, -7, 1.5]

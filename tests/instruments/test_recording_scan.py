@@ -183,3 +183,13 @@ def test_a_segment_whose_end_has_no_samples_is_named(tmp_path):
 def test_rounded_times_of_segments_are_no_gap(tmp_path):
     time = TIME[(TIME < 1.95) | (TIME > 2.05)]
     assert not [one for one in looked_over(write(tmp_path, time)) if "has no samples" in one[3]]
+
+
+def test_irregular_times_are_not_missing_samples(tmp_path):
+    """Every row is there, but the logger stamps each with a delay of up to 0.8 sample intervals."""
+    time = TIME + np.random.default_rng(1).uniform(0, 0.08, len(TIME))
+    (found,) = looked_over(write(tmp_path, time))
+    assert found[:2] == ("warning", "recording-gap")
+    assert "the times are irregular, although hardly any samples are missing" in found[3]
+    (found,) = looked_over(write(tmp_path, np.delete(time, range(50, 60))))
+    assert "samples are missing at" in found[3]

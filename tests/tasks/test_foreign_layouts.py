@@ -223,6 +223,42 @@ def shared_times(folder: Path) -> Path:
     )
 
 
+def row_numbers_without_a_name(folder: Path) -> Path:
+    """As R and pandas write a table: the line of names has one cell less than the rows."""
+    lines = [f'"{k}" {row}' for k, row in enumerate(rows(TIME, GYRO, ACCEL, separator=" "), start=1)]
+    return text(folder / "r.txt", "time wx wy wz ax ay az", lines)
+
+
+def message_numbers_before_the_time(folder: Path) -> Path:
+    lines = [f"{k} {row}" for k, row in enumerate(rows(1.54e9 + TIME, GYRO, ACCEL, separator=" "))]
+    names = [*(f"ang_vel_{x}" for x in "xyz"), *(f"lin_acc_{x}" for x in "xyz")]
+    return text(folder / "r.txt", " ".join(["# timestamp", *names]), lines)
+
+
+def empty_lines(folder: Path) -> Path:
+    lines = [f"{row}\n" for row in rows(TIME, GYRO * DEG, ACCEL / G)]
+    return text(folder / "r.csv", f"log of unit 7\n\ntime_s,{IN_DPS_G}\n", lines)
+
+
+def blanks_around_commas(folder: Path) -> Path:
+    names = f"time_s,{IN_DPS_G}".replace(",", " , ")
+    return text(folder / "r.csv", names, rows(TIME, GYRO * DEG, ACCEL / G, separator=" , "))
+
+
+def nameless_increments(folder: Path) -> Path:
+    """A matrix of increments with the time in its last column, beside a matrix of results."""
+    results = np.random.default_rng(4).normal(0, 1, (len(TIME), 6))
+    savemat(folder / "r.mat", {"imu": np.column_stack([GYRO / RATE, ACCEL / RATE, TIME]), "avp": results})
+    return folder / "r.mat"
+
+
+def nameless_beside_other_columns(folder: Path) -> Path:
+    """A column of zeros before the accelerometers forms a vector with two of them that is sometimes as long as gravity."""
+    speed, zeros = np.full((len(TIME), 2), 1.5), np.zeros((len(TIME), 1))
+    lines = rows(TIME, speed, zeros, ACCEL, ACCEL, GYRO, separator=" ")
+    return text(folder / "r.txt", lines[0], lines[1:])
+
+
 def parquet(column: pa.Array, name: str) -> Write:
     def write(folder: Path) -> Path:
         table = {name: column}
@@ -489,6 +525,12 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
     "named increments": (named_increments, "s", "deg/s", "m/s^2"),
     "magnetometer": (nameless_with_a_magnetometer, "s", "deg/s", "m/s^2"),
     "savetxt": (commented_names, "s", "rad/s", "m/s^2"),
+    "row numbers": (row_numbers_without_a_name, "s", "rad/s", "m/s^2"),
+    "message numbers": (message_numbers_before_the_time, "s", "rad/s", "m/s^2"),
+    "empty lines": (empty_lines, "s", "deg/s", "g"),
+    "blanks around commas": (blanks_around_commas, "s", "deg/s", "g"),
+    "nameless increments": (nameless_increments, "s", "rad/s", "m/s^2"),
+    "nameless beside others": (nameless_beside_other_columns, "s", "rad/s", "m/s^2"),
     "shared times": (shared_times, None, "deg/s", "g"),
     "iso": (stamped(at("%Y-%m-%dT%H:%M:%S.{f}Z")), DATE, "deg/s", "g"),
     "iso with offset": (stamped(at("%Y-%m-%d %H:%M:%S.{f}+0100", digits=6)), DATE, "deg/s", "g"),
@@ -689,6 +731,57 @@ def test_what_is_not_read_is_said(
     assert main(["new", "--from-recording", str(write(tmp_path)), str(tmp_path / "begun.yaml")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "begun.yaml").exists()
+
+
+def test_unread_columns_of_sensors_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A word in a column of numbers; the other columns are read."""
+    lines = rows(TIME, GYRO * DEG, ACCEL / G)
+    lines[700] = ",".join([*lines[700].split(",")[:5], "ERR", lines[700].split(",")[6]])
+    file = text(tmp_path / "r.csv", f"time_s,{IN_DPS_G}", lines)
+    assert main(["new", "--from-recording", str(file), str(tmp_path / "begun.yaml")]) == 0
+    message = f"r.csv, line 702: 'ERR' in column '{IN_DPS_G.split(',')[4]}' is not a number"
+    assert message in capsys.readouterr().out
+    assert f"# Not read: {message}" in (tmp_path / "begun.bench.yaml").read_text()
+
+
+@pytest.mark.parametrize("up", "xyz")
+def test_a_nameless_recording_at_rest(tmp_path: Path, capsys: pytest.CaptureFixture[str], up: str) -> None:
+    """With one axis up, every set of three columns that contains this axis is as long as gravity."""
+    draw = np.random.default_rng(6)
+    accel = draw.normal(0, ACCEL_NOISE, (3000, 3)) + G * np.eye(3)["xyz".index(up)]
+    lines = rows(np.arange(3000) / RATE, draw.normal(0, GYRO_NOISE, (3000, 3)), accel)
+    file = text(tmp_path / "r.csv", lines[0], lines[1:])
+    assert main(["new", "--from-recording", str(file), str(tmp_path / "begun.yaml"), "--json"]) == 0
+    columns = {one["channel"]: one["column"] for one in json.loads(capsys.readouterr().out)["channels"]}
+    assert columns == {
+        f"{kind}_{x}": f"column_{k + 2}" for k, (kind, x) in enumerate(itertools.product(("gyro", "accel"), "xyz"))
+    }
+
+
+def test_few_turns_about_an_axis_show_its_sign(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Nine turns are about x alone, and six also about z and y: in the median, the sign of the gyro z makes no difference."""
+    draw = np.random.default_rng(7)
+    ways = (
+        [(70, 0, 0)] * 5
+        + [(0, 20, 80), (30, -60, 30)]
+        + [(-80, 0, 0)] * 4
+        + [(0, 60, -20), (20, 30, 70), (10, 70, 0), (0, 10, 80)]
+    )
+    rest, turn = round(4 * RATE), round(1.4 * RATE)
+    s = (np.arange(turn) + 0.5) / turn
+    here, attitude, omega = Rotation.identity(), [], []
+    for way in np.radians(ways):
+        moving = (here * Rotation.from_rotvec(np.outer(s * s * (3 - 2 * s), way))).as_quat()
+        attitude += [np.tile(here.as_quat(), (rest, 1)), moving]
+        omega += [np.zeros((rest, 3)), np.outer(6 * s * (1 - s) * RATE / turn, way)]
+        here = here * Rotation.from_rotvec(way)
+    accel = Rotation.from_quat(np.concatenate(attitude)).inv().apply([0, 0, 1.0])
+    gyro = np.concatenate(omega) * [1, 1, -1] + draw.normal(0, GYRO_NOISE, accel.shape)
+    file = text(tmp_path / "r.csv", "t,gx,gy,gz,ax,ay,az", rows(np.arange(len(gyro)) / RATE, gyro, accel))
+    assert main(["new", "--from-recording", str(file), str(tmp_path / "begun.yaml")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "gyro_x turns about x, gyro_y turns about y, gyro_z turns about -z" in said
+    assert "gyro_x: {column: gx, unit: rad/s" in (tmp_path / "begun.bench.yaml").read_text()
 
 
 LEVELS = (0, 10, 0, 30, 0, 90, 0, -10, 0, -30, 0, -90, 0)

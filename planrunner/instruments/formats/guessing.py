@@ -44,6 +44,9 @@ _TIME = re.compile(
 )
 _STAMP = re.compile(r"(?:\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}[T ]\s*)?\d{1,2}:\d{2}(?!\w)")
 """Start of a date with a time, or of a time of day."""
+_SIGNS = frozenset({",", ";", "|"})
+_ROW = "row"
+"""Name that a column of row numbers gets if the file gives it none."""
 _SHEET_ROWS = 200  # rows at the start of a sheet, among which the first sample is searched for
 _VALUE = re.compile(
     r"(?:^|[^a-z])(values?|readings?|wert|val|measure\w*|data|signal|result)(?:[^a-z]|$)", re.IGNORECASE
@@ -300,7 +303,7 @@ def _sheet_of_samples(path: Path, name: str) -> Format:
             first = _first_row(cells, width, _filled) if width > 1 else None
             if first is None:
                 continue
-            names = _names_above([row[: _width(row)] for row in cells[:first]], width)
+            names = _names_above([row[: _width(row)] for row in cells[:first]], width, cells[first:])
             title = str(sheet.title) if len(book.worksheets) > 1 else None
             keys = WorkbookKeys(sheet=title, skip=first if names else first - 1, names=names)
             return Format(type="excel", parameters=keys)
@@ -311,6 +314,27 @@ def _sheet_of_samples(path: Path, name: str) -> Format:
 def _width(row: Sequence[str]) -> int:
     """Returns the number of cells up to the last one that is not empty."""
     return max((k + 1 for k, cell in enumerate(row) if cell), default=0)
+
+
+def _row_names(names: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
+    """Returns True if the first column of a table has no name, because it contains the numbers or the times of the rows.
+
+    Some programs write such a column, but no name for it. The numbers of the first column must increase. If the first name denotes
+    a time or a counter, the second column must increase, too, and the first one must count the rows. `names`: the names of all
+    columns but one. `rows`: the cells of the first rows."""
+    columns = [[_plain_number(row[k]) for row in rows] for k in (0, 1)]
+    rising = [len(column) > 3 and all(a < b for a, b in itertools.pairwise(column)) for column in columns]
+    if not (_TIME.search(names[0]) or _COUNT.search(names[0])):
+        return rising[0]
+    return all(rising) and all(b - a == 1 for a, b in itertools.pairwise(columns[0]))
+
+
+def _plain_number(cell: str) -> float:
+    """Returns the number in a cell; NaN if there is none."""
+    try:
+        return float(cell.strip().strip('"').replace(",", "."))
+    except ValueError:
+        return math.nan
 
 
 def _filled(row: Sequence[str]) -> bool:
@@ -324,14 +348,18 @@ def _text_keys(start: str, encoding: str) -> TextKeys | None:
     same number of columns. If several separators are equally good, the separator that gives the most columns is chosen. Returns
     None if the lines contain no columns of numbers."""
     lines = start.splitlines()[:-1] or start.splitlines()
-    return _best_layout(lines, encoding, _numeric) or _best_layout(lines, encoding, _of_reading)
+    filled = [(number, line) for number, line in enumerate(lines) if line.strip()]
+    return _best_layout(filled, encoding, _numeric) or _best_layout(filled, encoding, _of_reading)
 
 
-def _best_layout(lines: Sequence[str], encoding: str, is_row: Callable[[Sequence[str]], bool]) -> TextKeys | None:
-    """Guesses the layout of lines, as described in `_text_keys`. `is_row`: returns True for the cells of a row."""
+def _best_layout(
+    lines: Sequence[tuple[int, str]], encoding: str, is_row: Callable[[Sequence[str]], bool]
+) -> TextKeys | None:
+    """Guesses the layout of lines, as described in `_text_keys`. `lines`: the lines that are not empty, each with the number of
+    lines before it. `is_row`: returns True for the cells of a row."""
     best: tuple[int, int, TextKeys] | None = None
     for word, separator in SEPARATORS.items():
-        cells = [_cells(line, word, separator) for line in lines]
+        cells = [_cells(line, word, separator) for _, line in lines]
         widths = Counter(len(row) for row in cells[-50:])
         if not widths:
             continue
@@ -342,12 +370,14 @@ def _best_layout(lines: Sequence[str], encoding: str, is_row: Callable[[Sequence
         rows = cells[first:]
         if sum(is_row(row) for row in rows if len(row) == width) < len(rows) / 2:
             continue
+        if word == "blanks" and not _SIGNS.isdisjoint(rows[0]):
+            continue  # blanks on both sides of another separator
         comma = separator != "," and any("," in cell for row in rows for cell in row)
-        names = _names_above(cells[:first], width)
+        names = _names_above(cells[:first], width, rows)
         keys = TextKeys(
             separator=word,
             decimal="comma" if comma else "point",
-            skip=first if names else first - 1,
+            skip=lines[first if names else first - 1][0],
             names=names,
             encoding=encoding,
         )
@@ -386,13 +416,14 @@ def _of_reading(row: Sequence[str]) -> bool:
     )
 
 
-def _names_above(lines: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
+def _names_above(lines: Sequence[Sequence[str]], width: int, rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Returns the names of the columns, shape (width,). The result is empty if the line before the first row already states all
     names.
 
     In some files, a line of units follows the names. In this case, each unit is added to the name of its column. The line of names
-    may have more or fewer cells than the rows, or begin with a comment sign. `lines`: the cells of the lines before the first
-    row."""
+    may have more or fewer cells than the rows, or begin with a comment sign. If it has one cell less than the rows, and the first
+    column contains the number of the row, the first name belongs to the second column. `lines`: the cells of the lines before the
+    first row. `rows`: the cells of the first rows."""
     numbered = tuple(f"column_{k + 1}" for k in range(width))
     if not lines:
         return numbered
@@ -409,11 +440,13 @@ def _names_above(lines: Sequence[Sequence[str]], width: int) -> tuple[str, ...]:
         names, direct = names[1:], False
     if direct and not of_units:
         return ()
+    if len(names) == width - 1 and _row_names(names, [row for row in rows if len(row) == width]):
+        names = [_ROW, *names]
     if len(names) < width - 1 or len(names) < 2 or sum(bool(name) for name in names) < width / 2 or _numeric(names):
         return numbered
     found = [names[k] if k < len(names) and names[k] else numbered[k] for k in range(width)]
     if of_units:
-        stated = [*held[-1], *[""] * width]
+        stated = [*[""] * (names[0] == _ROW and len(held[-1]) == width - 1), *held[-1], *[""] * width]
         found = [f"{name} [{unit.strip('[]()')}]" if unit else name for name, unit in zip(found, stated, strict=False)]
     return tuple(found) if len(set(found)) == width else numbered
 

@@ -68,7 +68,7 @@ class JsonScanner:
             except (RecursionError, ValueError):
                 raise self._fault("the value is nested too deeply, or contains a number with too many digits") from None
             else:
-                if end < len(self._text) or self._ended:
+                if (end < len(self._text) and not _PART.fullmatch(self._text, end)) or self._ended:
                     self._began, self._at = self._at, end
                     return value
                 wrong, place = "", end
