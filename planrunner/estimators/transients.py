@@ -8,6 +8,13 @@ Each segment is divided into equal parts. A straight line is fitted to the means
 parts at one end. Over all segments, the deviation d of these two parts from the line is fitted by d = a + b·m, where m is the mean of
 the inner parts. Noise alone gives an F statistic with 2 and n − 2 degrees of freedom, for n segments. The variance of d is the larger
 of two estimates: one from the scatter of d about the fit, the other from the scatter of the inner parts about their lines.
+
+A filter in the sensor gives transients that follow the preceding change of the input and that end after a fixed time. They are
+not the same function of the input in all segments, so this test may miss them. A second test therefore compares the two ends of the
+segments. Let z be the deviation of an end, divided by its standard deviation according to the scatter of the inner parts of the
+same segment. Noise of any spectrum deviates equally at both ends, so the ratio of the sums of z² over the n segments follows an F
+distribution with n and n degrees of freedom. The sum at the end with transients must also be too large for the scatter of the inner
+parts, and at least a quarter of the segments (and at least two) must deviate clearly.
 """
 
 from __future__ import annotations
@@ -18,6 +25,7 @@ import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.arrays import Array
+from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.error_model.observed import axis_of
 from planrunner.instruments.models import OutputModel, SensorModel
@@ -32,6 +40,12 @@ _ALONG = (
 )  # smallest cosine of the planned angle between the axes of an output and of the rotation; 1 but for rounding
 _CHANCE = 1e-5
 """Probability that noise alone gives a warning about one end of the segments of one output."""
+_CLEAR = 5.0  # standard deviations of a clear deviation of one segment
+_SEVERAL, _SHARE = (
+    2,
+    0.25,
+)  # segments with a clear deviation, at least, and their share: single events are not transients
+_LEAST = 0.1  # smallest mean square of the deviations at the other end that is assumed: a smaller one is chance
 
 
 def transient_words(
@@ -51,6 +65,7 @@ def transient_words(
         for end, ordered in (("beginning", means), ("end", means[:, ::-1])):
             off, chance = _transient(ordered)
             if chance >= _CHANCE:
+                words += _of_several(having, output, means, end == "beginning")
                 continue
             largest = int(np.argmax(np.abs(off)))
             values: dict[str, str | float] = {
@@ -80,6 +95,46 @@ def transient_words(
     return tuple(words)
 
 
+def _of_several(having: Sequence[RecordedSegment], output: OutputModel, means: Array, beginning: bool) -> list[Said]:
+    """Returns a warning if several segments have transients at one end that are larger than the deviations at the other end.
+    `means`: array of shape (n, parts)."""
+    from scipy.special import fdtrc
+
+    n, sides = len(means), (means, means[:, ::-1])
+    own, other = (_deviations(one) for one in (sides if beginning else sides[::-1]))
+    away, opposite = own.in_deviations, other.in_deviations
+    clear = np.abs(away) > _CLEAR
+    square = float(away @ away)
+    by_ends = float(fdtrc(n, n, square / max(float(opposite @ opposite), _LEAST * n)))
+    by_noise = float(fdtrc(n, n * own.freedom, square / n))
+    if max(by_ends, by_noise) >= _CHANCE or np.count_nonzero(clear) < max(_SEVERAL, _SHARE * n):
+        return []
+    largest = int(np.argmax(np.abs(own.off)))
+    values: dict[str, str | float] = {
+        "output": output.name,
+        "count": int(np.count_nonzero(clear)),
+        "segments": n,
+        "segment": having[largest].label,
+        "size": float(own.off[largest]),
+        "unit": output.unit,
+    }
+    return [
+        said(
+            "{output}: the beginnings of {count} of {segments} segments differ from the rest: in '{segment}', the mean of the first "
+            "eighth differs by {size:.3g} {unit}. Such transients change the coefficients. Start each segment later, after the table, "
+            "the sensor and its filter have settled.",
+            **values,
+        )
+        if beginning
+        else said(
+            "{output}: the ends of {count} of {segments} segments differ from the rest: in '{segment}', the mean of the last eighth "
+            "differs by {size:.3g} {unit}. Such transients change the coefficients. End each segment earlier, before the table begins "
+            "to stop.",
+            **values,
+        )
+    ]
+
+
 def _constant(segment: RecordedSegment, output: OutputModel) -> bool:
     """Returns True if the input of an output is constant: at rest, or if the sensor turns about the axis of the output. A sensor that
     turns about another axis also turns relative to the Earth rate and to gravity."""
@@ -92,21 +147,47 @@ def _constant(segment: RecordedSegment, output: OutputModel) -> bool:
     return bool(abs(np.asarray(attitude)[axis] @ np.asarray(motion.about)) > _ALONG)
 
 
-def _transient(means: Array) -> tuple[Array, float]:
-    """Tests whether n segments have a transient at the beginning in common. `means`: array of shape (n, parts). Returns the
-    deviations of the first parts, shape (n,), and the probability that noise alone gives deviations that agree so well."""
-    from scipy.special import fdtrc
+@dataclass(frozen=True, slots=True)
+class _Deviations:
+    """Describes the deviations of the first parts of n segments from the line through the inner parts.
 
-    n, parts = means.shape
-    inner = np.arange(_END + _LEFT_OUT, parts)
+    `off`: array of shape (n,), the deviations. `sigma`: array of shape (n,), their standard deviations, from the scatter of the
+    inner parts about the lines, with `freedom` degrees of freedom each. `level`: array of shape (n,), means of the inner parts.
+    """
+
+    off: Array
+    sigma: Array
+    level: Array
+    freedom: int
+
+    @property
+    def in_deviations(self) -> Array:
+        """Returns the deviations, divided by their standard deviations; 0 where the inner parts do not scatter."""
+        return np.where(self.sigma > 0, self.off / np.where(self.sigma > 0, self.sigma, 1.0), 0.0)
+
+
+def _deviations(means: Array) -> _Deviations:
+    """Returns the deviations of the first parts of n segments. `means`: array of shape (n, parts)."""
+    inner = np.arange(_END + _LEFT_OUT, means.shape[1])
     line = np.column_stack([np.ones(len(inner)), inner - inner.mean()])
     to_line = np.linalg.pinv(line)
     ahead = np.array([1.0, (_END - 1) / 2 - inner.mean()])
     weights = -(ahead @ to_line)
     off = means[:, :_END].mean(axis=1) + means[:, inner] @ weights
     scatter = means[:, inner] - (means[:, inner] @ to_line.T) @ line.T
-    by_noise = float(np.mean(np.sum(scatter**2, axis=1))) / (len(inner) - 2) * (1 / _END + float(weights @ weights))
-    level = means[:, inner].mean(axis=1)
+    freedom = len(inner) - 2
+    variance = np.sum(scatter**2, axis=1) / freedom * (1 / _END + float(weights @ weights))
+    return _Deviations(off, np.sqrt(variance), means[:, inner].mean(axis=1), freedom)
+
+
+def _transient(means: Array) -> tuple[Array, float]:
+    """Tests whether n segments have a transient at the beginning in common. `means`: array of shape (n, parts). Returns the
+    deviations of the first parts, shape (n,), and the probability that noise alone gives deviations that agree so well."""
+    from scipy.special import fdtrc
+
+    n = len(means)
+    found = _deviations(means)
+    off, level, by_noise = found.off, found.level, float(np.mean(found.sigma**2))
     size = float(np.abs(level - level.mean()).max())
     design = np.column_stack([np.ones(n), (level - level.mean()) / size if size > 0 else np.zeros(n)])
     fitted = design @ np.linalg.lstsq(design, off, rcond=None)[0]

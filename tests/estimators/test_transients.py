@@ -85,3 +85,45 @@ def test_outputs_across_the_axis_of_the_turns_are_not_tested() -> None:
     """They follow the Earth rate and gravity, with the same course in every segment that makes one turn from the same angle."""
     tilt = math.radians(30)
     assert not named(estimated(SPOILT[0][1], about=(math.sin(tilt), 0.0, math.cos(tilt))))
+
+
+def filtered(width: float, left_out: float, seed: int = 1) -> Estimate:
+    """The same gyro turned at rates that rise without pauses, with a moving average of `width` s in its output. The rates last 18 s
+    to 11 s, of which `left_out` s are not used at the beginning."""
+    draw = np.random.default_rng(seed)
+    lengths = np.array([18.0, 18.0, 18.0, 18.0, 18.0, 14.0, 11.0])
+    rates = np.array([60.0, 120.0, 180.0, 240.0, 360.0, 540.0, 720.0])
+    rows = np.repeat(np.arange(7), (100 * lengths).astype(int))
+    values = 200 * rates[rows] + 3.0 + 500 * draw.standard_normal(len(rows))
+    count = max(1, round(100 * width))
+    values[count - 1 :] = np.convolve(values, np.full(count, 1 / count), "valid")
+    recording, times = [], np.arange(len(rows)) / 100
+    for k, rate in enumerate(rates):
+        place = np.flatnonzero(rows == k)[round(100 * left_out) :]
+        planned = segment(f"R{k}", np.eye(3), Spin(math.radians(rate), (0.0, 0.0, 1.0)), len(place) / 100)
+        recording.append(from_samples(planned, times[place], {"gyro_z": values[place]}, {"gyro_z": "pulse/s"}))
+    spec = EstimateSpec(
+        estimator="scale_factor", parameters=ScaleFactorParameters(outputs=("gyro_z",), weights="equal")
+    )
+    results = analyse({"k": spec}, (), recording, SITE, sensor("gyro_z"))
+    assert not results.failures
+    return results.estimates["k"]
+
+
+def several(found: Estimate) -> list[str]:
+    return [text for text in found.warnings if "segments differ from the rest" in text]
+
+
+def test_the_transients_of_a_filter_are_named() -> None:
+    """They follow the steps of the rate and end after 3 s, so they are not the same function of the rate in all segments. The scale
+    factor is 4 standard uncertainties away, although these come from the residuals."""
+    found = filtered(3.0, left_out=2.0)
+    assert abs(found["K_gyro_z"].value - 200.0) > 3 * found["K_gyro_z"].standard_uncertainty
+    [text] = several(found)
+    assert "the beginnings of" in text and "of 7 segments" in text
+
+
+def test_a_filter_without_transients_is_not_named() -> None:
+    for seed in range(2, 8):
+        assert not several(filtered(0.0, 2.0, seed))
+        assert not several(filtered(3.0, 3.0, seed))
