@@ -59,11 +59,8 @@ class StoredAnalysis:
         return tuple(self.digests["files"])
 
     @property
-    def basis(self) -> Basis | None:
-        """Returns the data from which the analysis was made; None for an analysis in an earlier format, which does not contain this
-        information."""
-        if self.digests["planrunner_digests"] == 1:
-            return None
+    def basis(self) -> Basis:
+        """Returns the data from which the analysis was made."""
         return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])
 
     def read(self, name: str, limit: int = MOST_RESULTS) -> bytes:
@@ -76,10 +73,10 @@ class StoredAnalysis:
             raise _changed(self.path / name)
         return data
 
-    def read_json(self, name: str, schema: str, version_key: str, newest: int) -> JsonObject:
+    def read_json(self, name: str, schema: str, version_key: str, known: int) -> JsonObject:
         """Reads a JSON file of the analysis and checks its digest and its schema. Raises `IntegrityError` if the file is missing,
         was changed, or does not match its schema."""
-        return formats.parse_json(self.read(name), self.path / name, schema, version_key, newest)
+        return formats.parse_json(self.read(name), self.path / name, schema, version_key, known)
 
     def check(self) -> Iterator[IntegrityError]:
         """Reports missing, changed and added files, one entry for each file."""

@@ -25,10 +25,7 @@ class IntegrityError(Exception):
 
 RUN_FORMAT = 1
 SEAL_FORMAT = 2
-"""Format of a seal. A seal in format 2 contains its own digest. A seal in format 1 contains none; planrunner still reads it."""
 DIGESTS_FORMAT = 3
-"""Format of the digests of an analysis. Format 2 added the previous analysis, the seal and the head of the journal; format 3 added
-the file's own digest. planrunner still reads the earlier formats."""
 HEAD_FORMAT = 1
 MOST_LEVELS = 64
 """Maximum nesting depth of a JSON file or line."""
@@ -48,7 +45,7 @@ def digested(value: JsonObject) -> bytes:
 
 
 def require_own_digest(data: bytes, value: JsonObject, path: Path) -> None:
-    """Checks the digest in a file whose text was made by `digested`. A file of an earlier format, which has no key `digest`, passes
+    """Checks the digest in a file whose text was made by `digested`. A tree head that was printed has no key `digest`, and passes
     the check. Raises `IntegrityError` if the digest is wrong."""
     if "digest" in value and digested({key: item for key, item in value.items() if key != "digest"}) != data:
         raise IntegrityError(f"{path}: changed after it was written: it does not match its own digest; {FROM_BACKUP}")
@@ -101,7 +98,7 @@ def _check_of(name: str) -> Check:
     return compile_schema(whole, whole)
 
 
-def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int) -> JsonObject:
+def parse_json(data: bytes, path: Path, name: str, version_key: str, known: int) -> JsonObject:
     """Returns the content of a JSON file of a run folder, checked against its schema. `path`: path of the file, for messages.
     Raises `IntegrityError` if the content does not match the schema."""
     try:
@@ -109,10 +106,10 @@ def parse_json(data: bytes, path: Path, name: str, version_key: str, newest: int
     except ValueError as error:
         raise IntegrityError(f"{path}: not JSON: {str(error)[:200]}; {FROM_BACKUP}") from None
     version = value.get(version_key) if isinstance(value, dict) else None
-    if type(version) is int and version > newest:
+    if type(version) is int and version != known:
         raise IntegrityError(
-            f"{path}: its format is {version}, but this version of planrunner reads only formats up to {newest}: use a "
-            f"newer version of planrunner"
+            f"{path}: its format is {version}, but this version of planrunner reads only format {known}: use the version of "
+            f"planrunner that wrote it"
         )
     fault = _check_of(name)(value)
     if fault is not None:

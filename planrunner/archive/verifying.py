@@ -266,7 +266,7 @@ def _read_analyses(found: Examined, standing: RecordedEntries) -> None:
 
 
 def _read_journal(found: Examined) -> bool:
-    marks = {1} | {analysis.basis.events for analysis in found.analyses if analysis.basis is not None}
+    marks = {1} | {analysis.basis.events for analysis in found.analyses}
     if found.seal is not None:
         marks.add(found.seal["journal"]["events"])
     with _collecting(found):
@@ -319,9 +319,7 @@ def _check_seal(found: Examined, standing: RecordedEntries) -> None:
     if found.seal is not None:
         for code, fault in seals.seal_faults(path / seals.NAME, found.seal, found.scan, found.state):
             found.error(code, fault)
-    found.sealed_before = found.sealed_before or any(
-        analysis.basis is not None and analysis.basis.seal is not None for analysis in found.analyses
-    )
+    found.sealed_before = found.sealed_before or any(one.basis.seal is not None for one in found.analyses)
     torn = found.scan.torn and f"; the last line is incomplete: {found.scan.torn} bytes that were never acknowledged"
     if seals.NAME not in standing and found.sealed_before:
         found.error("run-seal-removed", f"{path / seals.NAME}: the run was sealed, but its seal is missing")
@@ -361,28 +359,20 @@ def _check_chain(found: Examined) -> None:
     before: StoredAnalysis | None = None
     for analysis in found.analyses:
         basis, path = analysis.basis, analysis.path / stored.DIGESTS
-        if basis is None:
-            if before is not None and before.basis is not None:
-                found.error(
-                    "run-analysis-chain",
-                    f"{path}: made by an older version of planrunner, without the digest of the analysis before it",
-                )
-        else:
-            follows = before is None or before.number == analysis.number - 1
-            if follows and analysis.digests["previous"] != (FIRST if before is None else before.digest):
-                found.error(
-                    "run-analysis-chain",
-                    f"{path}: it does not contain the digest of the analysis before it: one of the two was changed or "
-                    "replaced",
-                )
-            if found.scan.heads.get(basis.events) != basis.head:
-                message = (
-                    f"{path}: the analysis was made from another journal, or the journal was shortened: the analysis counted "
-                    f"{basis.events} events, the journal has {found.scan.count}"
-                )
-                found.error("run-cut-short" if basis.events > found.scan.count else "run-analysis-chain", message)
-            elif _follows_seal(found, basis) and basis.seal != found.seal_digest:
-                found.error("run-resealed", f"{path}: the analysis was made under another seal than {seals.NAME}")
+        follows = before is None or before.number == analysis.number - 1
+        if follows and analysis.digests["previous"] != (FIRST if before is None else before.digest):
+            found.error(
+                "run-analysis-chain",
+                f"{path}: it does not contain the digest of the analysis before it: one of the two was changed or replaced",
+            )
+        if found.scan.heads.get(basis.events) != basis.head:
+            message = (
+                f"{path}: the analysis was made from another journal, or the journal was shortened: the analysis counted "
+                f"{basis.events} events, the journal has {found.scan.count}"
+            )
+            found.error("run-cut-short" if basis.events > found.scan.count else "run-analysis-chain", message)
+        elif _follows_seal(found, basis) and basis.seal != found.seal_digest:
+            found.error("run-resealed", f"{path}: the analysis was made under another seal than {seals.NAME}")
         before = analysis
 
 
@@ -424,7 +414,7 @@ def _check_times(found: Examined) -> None:
 def _of_the_whole(found: Examined) -> list[StoredAnalysis]:
     """Returns the analyses that were made from the whole journal as it is now."""
     assert found.scan is not None
-    return [one for one in found.analyses if one.basis is not None and one.basis.events == found.scan.count]
+    return [one for one in found.analyses if one.basis.events == found.scan.count]
 
 
 def _tell_clock(found: Examined, message: str) -> None:

@@ -69,9 +69,9 @@ class Said(str):
 
     @classmethod
     def from_json(cls, data: Json) -> Said:
-        """Reads the data of `to_json`, or a plain text. Raises ValueError, KeyError or TypeError for anything else."""
-        if isinstance(data, str):
-            return cls(data)
+        """Reads the data of `to_json`. Raises ValueError, KeyError or TypeError for anything else."""
+        if not isinstance(data, Mapping):
+            raise TypeError(f"{data!r} is not a text with its template")
         if "template" not in data:
             return cls(data["text"])
         values = {str(name): _value_from(value) for name, value in data.get("values", {}).items()}

@@ -17,7 +17,6 @@ from planrunner.base.dataclass import dataclass
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.findings import InputError, Mark
 from planrunner.base.said import Said
-from planrunner.estimators.earlier_tables import TERMINAL_TABLES, earlier_table
 from planrunner.estimators.interface import Coefficient, CoefficientRole, Estimate
 from planrunner.estimators.limits import LimitVerdict
 from planrunner.estimators.tables import Plot, Role, Table, TableColumn
@@ -27,8 +26,8 @@ from planrunner.uncertainty.influences import Budget, BudgetLine
 NAME = "results.json"
 """Name of the file that contains the results of an analysis."""
 FORMAT = 3
-"""Format of the results. In format 3, descriptions, notes and warnings consist of the text and of a template with values, so that
-they can be translated. Texts of earlier formats remain in English. In format 1, the columns of a table have only titles."""
+"""Format of the results. Descriptions, notes and warnings consist of the text and of a template with values, so that they can be
+translated."""
 NAMED = 1000
 """Maximum number of detected outliers of a segment that are listed in the results."""
 _NUMBERS = {"inf": math.inf, "-inf": -math.inf, "nan": math.nan}
@@ -40,7 +39,7 @@ class Results:
 
     `estimates`: the estimates by name, in the plan's order. `limits`: the verdicts on the limits. `failures`: maps the name of an
     estimate or limit without a result to a message. `segments`: for each recorded segment, the statistics from
-    `segment_statistics`. `origin`: source of the samples; None in results from versions that did not record the source. `unfit`:
+    `segment_statistics`. `origin`: source of the samples; None if the bench does not state it. `unfit`:
     names in `failures` whose failure is caused by the recorded data, not by the plan.
     """
 
@@ -69,7 +68,7 @@ class Results:
     @classmethod
     def from_json(cls, data: Mapping[str, Json], file: str = "results.json") -> Results:
         """Reads the results that `to_json` wrote. Raises `InputError` for another format."""
-        if not isinstance(data, Mapping) or data.get("planrunner_results") not in range(1, FORMAT + 1):
+        if not isinstance(data, Mapping) or data.get("planrunner_results") != FORMAT:
             message = "this file contains no results in a format that this version can read"
             raise InputError.at(
                 Mark(file), "results-format", message, "open it with the version that wrote it, or estimate again"
@@ -123,17 +122,15 @@ def segment_statistics(recorded: RecordedSegment) -> JsonObject:
 
 
 def comparable(data: Json) -> Json:
-    """Converts results of the formats 2 and 3 to a form in which they can be compared. The format, the versions that computed the
-    results, and data that serve only for translations are omitted."""
+    """Converts results to a form in which they can be compared. The versions that computed the results, and data that serve only
+    for translations are omitted."""
     if isinstance(data, list):
         return [comparable(item) for item in data]
     if not isinstance(data, dict):
         return data
     if "text" in data and data.keys() <= {"text", "template", "plural", "values"}:
         return data["text"]
-    return {
-        name: comparable(item) for name, item in data.items() if name not in ("planrunner_results", "computed_with")
-    }
+    return {name: comparable(item) for name, item in data.items() if name != "computed_with"}
 
 
 def _find_to(one: Find) -> JsonObject:
@@ -184,18 +181,15 @@ def _table_to(table: Table) -> JsonObject:
     return _fields(table) | {"columns": [_fields(one) for one in table.columns]}
 
 
-def _table_from(data: Mapping[str, Json], settings: Mapping[str, Json]) -> Table:
-    rows = tuple(map(tuple, data["rows"]))
-    if "terminal" not in data:
-        return earlier_table(data["title"], data["columns"], rows, settings)
+def _table_from(data: Mapping[str, Json]) -> Table:
     columns = tuple(TableColumn(one["title"], Role(one["role"]), one["unit"]) for one in data["columns"])
-    return Table(data["title"], columns, rows, data["terminal"])
+    return Table(data["title"], columns, tuple(map(tuple, data["rows"])), data["terminal"])
 
 
 def _estimate_from(data: Mapping[str, Json]) -> Estimate:
     rest: JsonObject = {key: tuple(data[key]) for key in ("headline", "segments")}
     rest |= {key: tuple(map(Said.from_json, data[key])) for key in ("notes", "warnings")}
-    tables = tuple(_table_from(item, data["settings"]) for item in data["tables"])
+    tables = tuple(map(_table_from, data["tables"]))
     plots = tuple(
         Plot(
             item["title"],
@@ -216,20 +210,19 @@ def _estimate_from(data: Mapping[str, Json]) -> Estimate:
             Coefficient(
                 **{
                     **item,
-                    "description": Said.from_json(item.get("description", "")),
-                    "role": CoefficientRole(item.get("role", CoefficientRole.LOCATION)),
+                    "description": Said.from_json(item["description"]),
+                    "role": CoefficientRole(item["role"]),
                 }
             )
             for item in data["coefficients"]
         ),
         covariance=np.array(data["covariance"], dtype=float),
-        settings={name: value for name, value in data["settings"].items() if name != TERMINAL_TABLES},
+        settings=data["settings"],
         tables=tables,
         plots=plots,
         extra=data["extra"],
         budgets=tuple(
-            Budget(**{**item, "lines": tuple(BudgetLine(**line) for line in item["lines"])})
-            for item in data.get("budgets", ())
+            Budget(**{**item, "lines": tuple(BudgetLine(**line) for line in item["lines"])}) for item in data["budgets"]
         ),
         **rest,
     )

@@ -33,8 +33,7 @@ def languages() -> tuple[str, ...]:
 @lru_cache(maxsize=8)
 def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
     """Maps each English message to its translation, or to the plural forms of its translation. Doubtful (fuzzy) and empty entries
-    are omitted. The English plural form is a further key, because stored results of earlier versions may contain only this form of
-    a text."""
+    are omitted. The key of a text with a plural form is its English singular form."""
     if language == ENGLISH:
         return {}
     from babel.messages.pofile import read_po
@@ -48,11 +47,7 @@ def translations(language: str) -> Mapping[str, str | tuple[str, ...]]:
             if isinstance(said, list | tuple):
                 said = tuple(said) if all(said) else None
             if said:
-                if isinstance(message.id, list | tuple):
-                    found[message.id[0]] = said
-                    found.setdefault(message.id[1], said[-1])
-                else:
-                    found[message.id] = said
+                found[message.id[0] if isinstance(message.id, list | tuple) else message.id] = said
     return found
 
 

@@ -50,19 +50,21 @@ FILES: dict[str, Any] = {
         "info": {"operator": "A"},
     },
     "digests": {
-        "planrunner_digests": 2,
+        "planrunner_digests": 3,
         "made": COMMON["at"],
         "files": {"a": SHA},
         "previous": SHA,
         "journal": {"events": 3, "head": SHA},
         "seal": None,
+        "digest": SHA,
     },
     "seal": {
-        "planrunner_seal": 1,
+        "planrunner_seal": 2,
         "run": "r",
         "sealed": COMMON["at"],
         "journal": {"events": 3, "head": SHA},
         "files": {"run.json": SHA, "plan.yaml": SHA, "bench.yaml": SHA, "journal.jsonl": SHA},
+        "digest": SHA,
     },
 }
 VALUES = st.sampled_from([None, True, 0, 1, -1, 3, 10**9, 0.5, "", "keep", SHA, [], {}, [PART], {"a": 1}, "x" * 300])

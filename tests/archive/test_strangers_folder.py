@@ -535,8 +535,6 @@ CHAIN: dict[str, Callable[[Path], object]] = {
         (folder / "0x").rename(folder / "2"),
     ),
     "the first removed": lambda folder: shutil.rmtree(folder / "1"),
-    "an older format in the middle": lambda folder: older(folder / "2"),
-    "an older format at the end": lambda folder: older(folder / "3"),
 }
 
 
@@ -544,17 +542,8 @@ def rewrite(analysis: Path) -> None:
     (analysis / "results.json").write_bytes(b"[]")
     digests = json.loads((analysis / "digests.json").read_bytes())
     digests["files"]["results.json"] = hashlib.sha256(b"[]").hexdigest()
-    if digests.pop("digest", None) is None:
-        (analysis / "digests.json").write_text(json.dumps(digests))
-    else:
-        (analysis / "digests.json").write_bytes(formats.digested(digests))
-
-
-def older(analysis: Path) -> None:
-    """As planrunner wrote it before analyses entered the chain."""
-    digests = json.loads((analysis / "digests.json").read_bytes())
-    kept = {name: digests[name] for name in ("made", "files")}
-    (analysis / "digests.json").write_text(json.dumps({"planrunner_digests": 1, **kept}))
+    del digests["digest"]
+    (analysis / "digests.json").write_bytes(formats.digested(digests))
 
 
 @pytest.mark.parametrize("change", CHAIN)
@@ -568,14 +557,17 @@ def test_analyses_are_a_chain(sealed: Path, change: str) -> None:
         RunReader.open(sealed)
 
 
-def test_older_run_folders_are_read_and_their_chain_goes_on(sealed: Path) -> None:
-    for number in (1, 2):
-        older(sealed / "analyses" / str(number))
-    assert verify(sealed) == []
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_digests_without_a_chain_are_refused(sealed: Path, number: int) -> None:
     add_analysis(sealed, {"results.json": b"{}"})
-    assert verify(sealed) == []
-    rewrite(sealed / "analyses" / "2")  # the third carries its digest
-    assert "run-analysis-chain" in codes(sealed)
+    file = sealed / "analyses" / str(number) / "digests.json"
+    digests = json.loads(file.read_bytes())
+    kept = {name: digests[name] for name in ("made", "files")}
+    for form in (1, 2, 3):
+        file.write_text(json.dumps({"planrunner_digests": form, **kept}))
+        assert "run-changed" in codes(sealed)
+        with pytest.raises(IntegrityError, match=r"digests\.json"):
+            RunReader.open(sealed)
 
 
 def test_analyses_outlive_a_segment_that_is_taken_again(sealed: Path) -> None:

@@ -75,7 +75,8 @@ def add_results(run: Path, made: MadeRun) -> None:
             "unit": "deg/h",
             "standard_uncertainty": u,
             "degrees_of_freedom": "inf",
-            "description": name,
+            "description": {"text": name},
+            "role": "location",
         }
         for name, (value, u) in made.values.items()
     ]
@@ -93,6 +94,7 @@ def add_results(run: Path, made: MadeRun) -> None:
         "warnings": [],
         "segments": [],
         "extra": {},
+        "budgets": [],
     }
     limits = []
     if made.limit is not None:
