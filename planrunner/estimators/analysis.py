@@ -47,7 +47,7 @@ from planrunner.plan.meaning import channels_of
 from planrunner.plan.model import USUAL, EstimateSpec, Limit, MonteCarloSpec
 from planrunner.plan.schedule import RecordedMotion, Rest, Spin
 from planrunner.plan.selection import select
-from planrunner.plan.units import DIMENSIONS, unit
+from planrunner.plan.units import METERED, unit
 from planrunner.uncertainty.budget import Measured, combine
 
 
@@ -251,7 +251,7 @@ def coarse_counts(
     """
     found = []
     outputs = [one for one in sensor.outputs if varies(one) and (not channels or one.name in channels)]
-    undeclared = [one for one in outputs if not one.noise.resolution and unit(one.unit).dimension not in _METERED]
+    undeclared = [one for one in outputs if not one.noise.resolution and unit(one.unit).dimension not in METERED]
     counts = _observed_counts(segments, [one.name for one in undeclared])
     for output in outputs:
         noise = output.noise
@@ -362,8 +362,6 @@ def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str
     return counts
 
 
-_METERED = (DIMENSIONS["voltage"], DIMENSIONS["pressure"])
-"""Quantities that meters measure. A reading of a meter may keep one value, and the plan states its uncertainty separately."""
 _FEWEST = 2
 """Smallest number of different values from which a count is found. Two values are enough, because an output that rarely leaves one
 value has a coarse count."""

@@ -31,6 +31,7 @@ from planrunner.error_model.observed import axis_of
 from planrunner.instruments.models import OutputModel, SensorModel
 from planrunner.observation.screening import varies
 from planrunner.plan.schedule import Rest, Spin
+from planrunner.plan.units import METERED, unit
 
 _END = 2  # parts at an end that are compared with the line
 _LEFT_OUT = 2  # parts between them and the inner parts
@@ -53,10 +54,11 @@ def transient_words(
 ) -> tuple[Said, ...]:
     """Warns of each output that has a transient in common at the beginning or at the end of the segments. `channels`: the channels
     to check; if empty, all outputs of the sensor. Only segments in which the input of the output is constant are used. The element
-    of a stabilised platform drifts while the platform rests, so its inputs are not constant."""
+    of a stabilised platform drifts while the platform rests, so its inputs are not constant. The supply voltage and the ambient
+    pressure are not constant either."""
     words = []
     for output in () if sensor.stabilised else sensor.outputs:
-        if not varies(output) or (channels and output.name not in channels):
+        if not varies(output) or (channels and output.name not in channels) or unit(output.unit).dimension in METERED:
             continue
         having = [one for one in segments if output.name in one.parts and _constant(one, output)]
         if len(having) < _FEWEST:

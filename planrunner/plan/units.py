@@ -78,6 +78,10 @@ DIMENSIONS: dict[str, Dimension] = {
     "pressure": (("length", -1.0), ("mass", 1.0), ("time", -2.0)),
     "voltage": (("current", -1.0), ("length", 2.0), ("mass", 1.0), ("time", -3.0)),
 }
+METERED = (DIMENSIONS["voltage"], DIMENSIONS["pressure"])
+"""Dimensions of quantities of the surroundings that meters measure. The reading of a meter may keep one value, and it follows the
+surroundings, not the motion. The plan states its uncertainty separately."""
+
 EXAMPLES = {
     "ratio": "0.5 %",
     "angle": "5 arcmin",

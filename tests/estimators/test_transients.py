@@ -13,6 +13,8 @@ from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.analysis import analyse
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.scale_factor import ScaleFactorParameters
+from planrunner.estimators.transients import transient_words
+from planrunner.observation.screening import screened
 from planrunner.physics.earth import Site
 from planrunner.plan.model import EstimateSpec
 from planrunner.plan.schedule import Spin
@@ -72,6 +74,17 @@ def test_noise_drift_and_vibration_are_no_transient() -> None:
         assert not named(estimated(lambda x, t: x, seed))
         assert not named(estimated(lambda x, t: x, seed, drift=0.1))
         assert not named(estimated(lambda x, t: x + 20 * np.sin(2 * np.pi * 0.37 * t), seed))
+
+
+def test_a_barometer_that_follows_the_weather_is_not_tested() -> None:
+    model, recording = sensor("pressure", unit="hPa"), []
+    for number in range(8):
+        time = 100.0 * number + np.arange(3000) / 100
+        values = {"pressure": 1010 + np.where(time % 100 < 3, 1.0, 0.0) + 0.01 * np.sin(time)}
+        recording.append(from_samples(segment(f"R{number}", np.eye(3)), time, values, {"pressure": "hPa"}))
+    screened_ones = screened(recording, model)
+    assert all("pressure" in one.parts for one in screened_ones)
+    assert transient_words(screened_ones, (), model) == ()
 
 
 def test_a_transient_of_one_segment_is_not_called_common() -> None:
