@@ -118,14 +118,14 @@ def _bearable(schedule: Schedule, models: BenchModels, log: Findings) -> bool:
             for key, seconds in (("dwell", segment.dwell or 0.0), ("settle", segment.settle), ("soak", segment.soak))
         ]
         seconds, segment, key = max(parts, key=lambda part: part[0])
-        message = f"the plan takes {_days(schedule.total)}, more than a year; the {key} of '{segment.label}' takes {_days(seconds)} of them"
+        message = f"the plan takes {_days(schedule.total)}, more than a year; the {key} of '{segment.label}' alone takes {_days(seconds)}"
         log.error("limit-time", segment.marks.get(key, segment.marks[""]), message, "shorten it, or split the plan")
     own = models.sensor.sample_rate if models.sensor is not None else 0.0
     counts = [(segment.dwell or 0.0) * (segment.sample_rate or own) for segment in schedule.segments]
     if sum(counts) > MOST_SAMPLES and log.raised == before:
         most, segment = max(zip(counts, schedule.segments, strict=True), key=lambda pair: pair[0])
         message = (
-            f"the plan records {sum(counts):.1e} samples, more than {MOST_SAMPLES:.0e} (80 GB a channel); "
+            f"the plan records {sum(counts):.1e} samples, more than {MOST_SAMPLES:.0e} (80 GB per channel); "
             f"'{segment.label}' gives {most:.1e} of them"
         )
         mark = segment.marks.get("sample_rate") or segment.marks.get("dwell") or segment.marks[""]
@@ -134,7 +134,8 @@ def _bearable(schedule: Schedule, models: BenchModels, log: Findings) -> bool:
 
 
 def _days(seconds: float) -> str:
-    return f"{seconds / 86400:,.0f} days".replace(",", " ")
+    days = f"{seconds / 86400:,.0f}".replace(",", " ")
+    return f"{days} day" if days == "1" else f"{days} days"
 
 
 def _lacking(segments: Mapping[Mark, str], key: str) -> tuple[Mark, str]:

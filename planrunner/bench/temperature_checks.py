@@ -75,9 +75,9 @@ class Temperatures:
             low, high = (middle, high) if abs(self._behind(middle)) > tolerance else (low, middle)
         waited = now - self._reached
         message = (
-            f"the sensor follows the air with a declared time constant of {_minutes(self._lag)}: '{label}' records "
-            f"{_minutes(waited)} ({waited / self._lag:.2g} time constants) after the chamber is at {self._set - ZERO_CELSIUS:g} degC, "
-            f"while the sensor is still {abs(left):.2g} K from it"
+            f"the sensor follows the air with a declared time constant of {_minutes(self._lag)}: the record of '{label}' begins "
+            f"{_minutes(waited)} ({waited / self._lag:.2g} time constants) after the chamber reaches {self._set - ZERO_CELSIUS:g} degC, "
+            f"when the sensor is still {abs(left):.2g} K from this temperature"
         )
         hint = f"soak for at least {_minutes(soak + high - now)}: the sensor is then within the chamber's tolerance of {tolerance:g} K"
         with self._log.resting_on(mark):  # a soak that could not be read counts as none

@@ -221,9 +221,12 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
     agreeing = agreement(fit, basis)
     warnings += [_outlying(fit, one, basis) for one in agreeing.outliers]
     if agreeing.unchecked:
-        hardly = said(
+        hardly = counted(
+            "An error in the segment {segments} would hardly be noticed, because less than {share:.0f} % of the error "
+            "appears in the residuals. Repeat this segment to confirm it.",
             "An error in one of the segments {segments} would hardly be noticed, because less than {share:.0f} % of "
             "the error appears in the residuals. Repeat these segments to confirm them.",
+            count=len(agreeing.unchecked),
             segments=agreeing.unchecked,
             share=100 * LEAST_REDUNDANCY,
         )

@@ -411,7 +411,7 @@ def _reported(one: Repeats, split: Variance) -> list[Coefficient]:
         mean = math.nan if zero else split.mean
         relative = 1e6 / abs(mean)
         own = relative * math.hypot(u, s * split.mean_uncertainty / mean)
-        words = said("{name}: standard deviation {where} over mean", name=name, where=where)
+        words = said("{name}: standard deviation {where}, divided by the mean", name=name, where=where)
         found.append(
             Coefficient(f"repeatability_{name}", s * relative, "ppm", own, split.within_freedom, words, role=scale)
         )

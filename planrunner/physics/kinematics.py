@@ -376,4 +376,4 @@ def _place(axis: TableAxis, angle: float, near: float) -> tuple[float, tuple[flo
 def limits_in_words(axis: TableAxis) -> str:
     low = "any angle" if math.isinf(axis.lowest) else f"{math.degrees(axis.lowest):g}"
     high = "any angle" if math.isinf(axis.highest) else f"{math.degrees(axis.highest):g} deg"
-    return f"it turns from {low} to {high}"
+    return f"the axis can turn only from {low} to {high}"

@@ -72,7 +72,7 @@ def spin_excess(
             found.append(
                 Excess(
                     "travel",
-                    f"spinning turns the {axis.name} axis by {_deg(turned)} deg, spin-up, settling and stopping included, from "
+                    f"spinning (with spin-up, settling and stopping) turns the {axis.name} axis by {_deg(turned)} deg, from "
                     f"{_deg(float(joints[course.joint]))} to {_deg(end)} deg; {limits_in_words(axis)}",
                 )
             )
@@ -95,7 +95,7 @@ def rock_excess(axes: Sequence[TableAxis], joints: Sequence[float] | Array | Non
             found.append(
                 Excess(
                     "travel",
-                    f"rocking carries the {axis.name} axis from {_deg(low)} to {_deg(high)} deg; {limits_in_words(axis)}",
+                    f"rocking turns the {axis.name} axis from {_deg(low)} to {_deg(high)} deg; {limits_in_words(axis)}",
                 )
             )
     return found
@@ -111,7 +111,7 @@ def cycle_excess(axis: TableAxis, start: float | None, motion: Cycle) -> list[Ex
         found.append(Excess("travel", f"the cycle turns through {_deg(high - low)} deg; {there}"))
     elif start is not None and (start + low < axis.lowest - SLACK or start + high > axis.highest + SLACK):
         reached = f"from {_deg(start + low)} to {_deg(start + high)} deg"
-        found.append(Excess("travel", f"the cycle reaches {reached} of the {axis.name} axis; {limits_in_words(axis)}"))
+        found.append(Excess("travel", f"the cycle turns the {axis.name} axis {reached}; {limits_in_words(axis)}"))
     return found
 
 
@@ -125,10 +125,10 @@ def _beyond(axis: TableAxis, what: str, rate: float, acceleration: float = 0.0) 
     `acceleration`: required acceleration, rad/s²."""
     found = []
     if rate > axis.max_rate * _GRANTED:
-        able = f"the {axis.name} axis reaches {_deg(axis.max_rate)} deg/s"
+        able = f"the {axis.name} axis reaches at most {_deg(axis.max_rate)} deg/s"
         found.append(Excess("rate", f"{what} needs {_deg(rate)} deg/s; {able}"))
     if acceleration > axis.max_acceleration * _GRANTED:
-        able = f"the {axis.name} axis gives {_deg(axis.max_acceleration)} deg/s^2"
+        able = f"the {axis.name} axis reaches at most {_deg(axis.max_acceleration)} deg/s^2"
         found.append(Excess("acceleration", f"{what} needs {_deg(acceleration)} deg/s^2; {able}"))
     return found
 

@@ -235,6 +235,6 @@ def _check_unique(segments: list[StatedSegment], log: Findings) -> None:
         else:
             first[segment.label] = segment.mark
     for mark, labels in repeated.items():
-        more = f" and {len(labels) - 1} more" if len(labels) > 1 else ""
+        more = f" (and {len(labels) - 1} more)" if len(labels) > 1 else ""
         message = f"the label '{labels[0]}'{more} is used twice (first on line {first[labels[0]].line})"
         log.error("meaning-label-repeated", mark, message, "give each segment or sweep a unique label")

@@ -218,7 +218,8 @@ def has_sign(quantity: Quantity, sign: Sign, mark: Mark, log: Findings, name: st
         return True
     hint = "write zero or more" if sign == "not negative" else "write a value above zero"
     shown = f"{name} of {quantity}" if name else f"{quantity}"
-    log.error("meaning-range", mark, f"{shown} is out of range: it must be {sign}", hint)
+    needed = "must not be negative" if sign == "not negative" else "must be positive"
+    log.error("meaning-range", mark, f"{shown} is out of range: it {needed}", hint)
     return False
 
 

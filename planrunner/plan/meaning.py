@@ -124,13 +124,11 @@ def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findin
             "meaning-unused-label",
             mark,
             f"{what} recorded but no estimate uses {'it' if len(labels) == 1 else 'them'}",
-            _UNUSED_HINT,
+            _UNUSED_HINT if len(labels) == 1 else _UNUSED_HINT.replace("it is", "they are").replace(" it ", " them "),
         )
 
 
-_UNUSED_HINT = (
-    "name it in the 'segments' of an estimate, write `conditioning: true` if it is a warm-up, or leave it out"
-)
+_UNUSED_HINT = "name it in the 'segments' of an estimate, write `conditioning: true` if it is a warm-up, or leave it out of the plan"
 
 
 def _check_limit(limit: Limit, log: Findings) -> None:

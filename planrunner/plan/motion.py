@@ -52,7 +52,7 @@ def _stated_motion(motion: MotionSpec, marks: Mapping[str, Mark], dwell: float |
             "meaning-motion",
             marks["motion"],
             f"a motion has exactly one of the keys {_FORMS}; this one has {what}",
-            "keep one of them",
+            "keep one of them" if stated else "add one of them",
         )
         return None
     form = stated[0]
@@ -86,7 +86,7 @@ def _moved(motion: MotionSpec, recorded: RecordedSpec, sign: float, log: Finding
         return None
     for key in ("about", "sense"):
         if key in motion.origin.keys and not recorded.angle:
-            message = f"'{key}' has no meaning without `angle`: {shown[0] if shown else 'forces'} gives directions"
+            message = f"'{key}' has no meaning without `angle`: `{shown[0] if shown else 'forces'}` already gives the directions"
             log.error("meaning-motion", motion.at(key), message, "remove it")
             return None
     if recorded.angle and recorded.forces:
@@ -129,7 +129,8 @@ def _cycle(motion: MotionSpec, sign: float, log: Findings) -> Cycle | None:
     if missing or motion.turn_rate is None or motion.stop is None:
         examples = {"moves": "moves: [A +180 C, C -180 A]", "turn_rate": "turn_rate: 10 deg/s", "stop": "stop: 5 min"}
         hint = "add for example " + ", ".join(examples[name] for name in missing)
-        log.error("meaning-cycle", motion.origin.mark, f"a cycle also needs {' and '.join(missing)}", hint)
+        needs = f"the key{'s' if missing[1:] else ''} {', '.join(missing)}"
+        log.error("meaning-cycle", motion.origin.mark, f"a cycle also needs {needs}", hint)
         return None
     moves: list[Move] = []
     net = 0.0

@@ -233,7 +233,7 @@ def _right_handed(given: dict[str, Direction], node: Mapping, log: Findings) -> 
         axes = np.array(matrix)
         third = _pointing(np.cross(axes[0], axes[1]))
         message = f"left-handed axes ({text}): x × y points {third}, not {_pointing(axes[2])}"
-        log.error("meaning-left-handed", node.mark, message, "right-handed are " + " or ".join(_repairs(axes)))
+        log.error("meaning-left-handed", node.mark, message, "write for example " + " or ".join(_repairs(axes)))
         return None
     return Orientation(text, matrix)
 

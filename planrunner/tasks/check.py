@@ -306,7 +306,7 @@ def _check_sensor(plan: Plan, known: BenchModels, log: Findings) -> None:
             f"the plan is for a sensor of kind '{plan.sensor.kind}', but the bench has one of kind '{sensor.kind}'"
         )
         names = benches_for(plan.sensor.kind)
-        shipped = f"; shipped are {', '.join(names)}" if names else ""
+        shipped = f", for example a shipped one: {', '.join(names)}" if names else ""
         hint = f"use a bench with such a sensor{shipped}"
         log.error("meaning-sensor-kind", plan.sensor.at("kind"), message, hint)
         return

@@ -347,7 +347,7 @@ def test_a_sensor_has_axes():
         ("gyros: {axes: {x: {bias_temperature: 0.1 deg/h/K}}}", "form-type", "a list of one to three"),
         ("gyros: {axes: {x: {bias_temperature: [0.1 deg/h]}}}", "meaning-dimension", "such as deg/h/K is needed"),
         ("gyros: {axes: {x: {g_sensitivity: {w: 1 deg/h/g}}}}", "form-unknown-key", "unknown name 'w'"),
-        ("gyros: {axes: {x: {angle_random_walk: -1 deg/sqrt(h)}}}", "meaning-range", "must be not negative"),
+        ("gyros: {axes: {x: {angle_random_walk: -1 deg/sqrt(h)}}}", "meaning-range", "must not be negative"),
         ("accelerometers: {axes: {x: {g_sensitivity: {x: 1 deg/h/g}}}}", "form-unknown-key", "g_sensitivity"),
         ("kind: IMU", "form-text", "is not a kind of sensor"),
     ],

@@ -103,16 +103,16 @@ def test_a_spin_about_a_direction_without_an_axis_is_refused():
 @pytest.mark.parametrize(
     ("motion", "words"),
     [
-        (Spin(20 * DEG), "spinning needs 20 deg/s; the outer axis reaches 10 deg/s"),
+        (Spin(20 * DEG), "spinning needs 20 deg/s; the outer axis reaches at most 10 deg/s"),
         (Rock(10 * DEG, 1.0, (0.0,), 10.0), "rocking needs .* deg/s; the outer axis reaches"),
         (
             Rock(0.2 * DEG, 1.0, (0.0,), 10.0),
-            r"rocking needs .* deg/s\^2; the outer axis gives 5 deg/s\^2",
+            r"rocking needs .* deg/s\^2; the outer axis reaches at most 5 deg/s\^2",
         ),
         (Rock(0.1 * DEG, 0.1, (0.0,) * 4, 10.0), "4 rings are planned to rock, but the table has 3"),
         (
             Rock(101 * DEG, 0.001, (0.0, 0.0), 10.0),
-            "rocking carries the middle axis from -101 to 101 deg; it turns from -100 to 100 deg",
+            "rocking turns the middle axis from -101 to 101 deg; the axis can turn only from -100 to 100 deg",
         ),
         (Cycle({"A": 0.0}, (Move("A", math.pi, "A"),), 30 * DEG, 1.0), "turning needs 30 deg/s"),
     ],

@@ -142,7 +142,9 @@ def test_an_angle_at_the_very_limit_counts_as_within():
 
 def test_what_limits_forbid_is_explained_with_axis_angle_and_limit():
     axes = (axis("outer", UP), axis("tilt", EAST, 45 * DEG), axis("inner", NORTH, 45 * DEG))
-    with pytest.raises(Unreachable, match=r"'tilt' would have to be at 90 deg; it turns from -45 to 45 deg"):
+    with pytest.raises(
+        Unreachable, match=r"'tilt' would have to be at 90 deg; the axis can turn only from -45 to 45 deg"
+    ):
         joint_angles(axes, attitude(THREE, [0, 90 * DEG, 0]), [0, 0, 0])
 
 

@@ -240,7 +240,7 @@ def test_both_rate_and_motion_in_defaults() -> None:
 def test_repeated_labels_are_one_finding_a_place() -> None:
     _, log = stated("  - for_each: {temperature: '1, 2, 3 K'}\n  - for_each: {temperature: '1, 2, 3 K'}\n")
     (finding,) = log
-    assert "'1K' and 2 more" in finding.message
+    assert "'1K' (and 2 more)" in finding.message
     assert "line 5" in finding.message
 
 

@@ -69,7 +69,7 @@ def test_left_handed_words_are_refused_with_right_handed_ones_named(words: tuple
     (finding,) = log
     assert (finding.code, finding.mark.line, finding.mark.column) == ("meaning-left-handed", 2, 3)
     assert f"x {x}, y {y}, z {z}" in finding.message
-    repairs = finding.hint.removeprefix("right-handed are ").split(" or ")
+    repairs = finding.hint.removeprefix("write for example ").split(" or ")
     assert len(set(repairs)) == 6
     for repair in repairs:
         mended, rest = read(repair)

@@ -237,11 +237,13 @@ def test_nothing_moves_when_the_run_looks_away(monkeypatch: pytest.MonkeyPatch) 
 
 def test_cycles_that_the_axis_cannot_make_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     with table(monkeypatch, ", lowest: -100 deg, highest: 100 deg") as (made, axis, _):
-        with pytest.raises(InstrumentError, match="'C': turning needs 120 deg/s; the table axis reaches 100 deg/s"):
+        with pytest.raises(
+            InstrumentError, match="'C': turning needs 120 deg/s; the table axis reaches at most 100 deg/s"
+        ):
             made.foresee([Segment(0, "C", None, "", cycle(2.0, 90.0, -90.0, rate=120.0), 60.0)])
         made.foresee([Segment(0, "C", None, "", cycle(2.0, 90.0, -90.0), 60.0)])
         with pytest.raises(
-            InstrumentError, match="the cycle reaches from 0 to 180 deg of the table axis; it turns from -100"
+            InstrumentError, match="the cycle turns the table axis from 0 to 180 deg; the axis can turn only from -100"
         ):
             made.begin_motion(cycle(2.0, 90.0, 90.0, -180.0), 60.0)
         assert axis.told == []

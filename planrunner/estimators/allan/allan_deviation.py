@@ -366,7 +366,7 @@ def _judge(result: _Result, found: DescribedRange, count: float) -> float:
         if drift.present:
             result.notes.append(
                 said(
-                    "{name}: the output drifts steadily by ({slope:.3g} ± {uncertainty:.2g}) {unit} an hour "
+                    "{name}: the output drifts steadily by ({slope:.3g} ± {uncertainty:.2g}) {unit} per hour "
                     "(standard uncertainty).",
                     name=name,
                     slope=drift.slope * 3600,
@@ -396,8 +396,8 @@ def _judge(result: _Result, found: DescribedRange, count: float) -> float:
         result.warnings.append(
             said(
                 "{name}: the output is rounded to counts of {count:.3g} {unit}, and the rounding error is carried over to the "
-                "next sample. The noise coefficients describe averaging times from {time:.4g} s only, because "
-                "rounding errors less far apart depend on each other.",
+                "next sample. The noise coefficients describe only averaging times of {time:.4g} s and more, because "
+                "rounding errors that are closer together in time depend on each other.",
                 name=name,
                 count=count,
                 unit=result.unit,
@@ -407,7 +407,7 @@ def _judge(result: _Result, found: DescribedRange, count: float) -> float:
     elif found.shorter:
         result.warnings.append(
             said(
-                "{name}: the noise coefficients describe averaging times from {time:.4g} s only. At shorter "
+                "{name}: the noise coefficients describe only averaging times of {time:.4g} s and more. At shorter "
                 "averaging times, the deviations differ from this description: the output is filtered or "
                 "rounded, or contains a periodic disturbance "
                 "such as vibration.",
@@ -418,7 +418,7 @@ def _judge(result: _Result, found: DescribedRange, count: float) -> float:
     if found.longer:
         result.warnings.append(
             said(
-                "{name}: the noise coefficients describe averaging times up to {time:.4g} s only. At longer "
+                "{name}: the noise coefficients describe only averaging times up to {time:.4g} s. At longer "
                 "averaging times, the deviations differ from this description: the output warms up or drifts "
                 "unsteadily.",
                 name=name,

@@ -11,6 +11,7 @@ import numpy as np
 
 from planrunner.base.arrays import Integers
 from planrunner.base.dataclass import dataclass
+from planrunner.base.findings import count_of
 from planrunner.estimators.allan.confidence import freedom_of_runs
 from planrunner.estimators.allan.table import octave_factors
 from planrunner.estimators.interface import DesignRequest, EstimationError, Remark
@@ -69,7 +70,7 @@ def require_averaging_times(name: str, count: int) -> None:
     """Raises `EstimationError` if the variances can be fitted at fewer than two averaging times."""
     if count < 2:
         raise EstimationError(
-            f"'{name}': the deviations are known well enough to be fitted at only {count} averaging times: "
+            f"'{name}': the deviations are known well enough to be fitted at only {count_of(count, 'averaging time')}: "
             f"record for longer, or raise `fit_up_to`"
         )
 

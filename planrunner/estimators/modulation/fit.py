@@ -79,7 +79,9 @@ def periodic_part(time: Array, velocity: Complex, period: float, highest: int, s
         raise TooLittleError("its points are not evenly spaced")
     cycles = int((float(time[-1]) + step - float(time[0])) / period) if len(time) > 1 else 0
     if cycles < FEWEST_CYCLES:
-        raise TooLittleError(f"it holds {cycles} whole cycles of {period:.0f} s, fewer than {FEWEST_CYCLES}")
+        raise TooLittleError(
+            f"the navigation contains {cycles} whole cycles of {period:.0f} s, but at least {FEWEST_CYCLES} are needed"
+        )
     within = time - time[0] < cycles * period
     time, velocity = time[within] - time[0], velocity[within]
     lasting = len(time) * step

@@ -153,7 +153,9 @@ def _lacks(request: DesignRequest[ModulationResidualParameters]) -> Remark | Non
     if len(still) == 1:
         return None
     found = f"{' and '.join(still)} are" if still else "none is"
-    message = f"{found} without rotation among the navigations used, but the comparison needs exactly one"
+    message = (
+        f"of the navigations used, {found} without rotation, but the comparison needs exactly one without rotation"
+    )
     return Remark(
         "physics-modulation",
         message,

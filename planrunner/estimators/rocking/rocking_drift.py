@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planrunner.archive.recording import RecordedSegment
-from planrunner.base.said import Said, said
+from planrunner.base.said import Said, counted, said
 from planrunner.estimators.interface import (
     Coefficient,
     Design,
@@ -269,8 +269,10 @@ def _notes(
     missing = [AXES[axis] for axis in range(3) if all(axis not in state.level for state in states)]
     if missing:
         notes.append(
-            said(
+            counted(
+                "The axis {axes} is level in no state, so gravity does not show a drift about it.",
                 "The axes {axes} are level in no state, so gravity does not show a drift about them.",
+                count=len(missing),
                 axes=tuple(missing),
             )
         )

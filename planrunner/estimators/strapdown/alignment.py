@@ -316,12 +316,12 @@ def _check_at_rest(label: str, channels: Sequence[str], mean: Array, site: Site)
         shown = np.degrees([*found, *earth]) * 3600
         if reversed_ := _would_agree(channels, mean, site):
             raise UnfitDataError(
-                f"segment '{label}': the gyros measure {shown[1]:.4g} deg/h up, but the Earth turns with {shown[3]:.4g}; with the "
+                f"segment '{label}': the gyros measure {shown[1]:.4g} deg/h up, but the Earth rate is {shown[3]:.4g} up; with the "
                 f"opposite sign of {' or of '.join(reversed_)}, the two would agree: check the signs of the channels"
             )
         raise UnfitDataError(
             f"segment '{label}': the gyros measure {shown[0]:.4g} deg/h horizontally and {shown[1]:.4g} deg/h up, but the "
-            "Earth turns with "
+            "Earth rate is "
             f"{shown[2]:.4g} and {shown[3]:.4g}: check that the unit is at rest, the gyros' units and order and the "
             "latitude; gyros with "
             "such errors cannot find north"

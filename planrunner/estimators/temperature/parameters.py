@@ -146,7 +146,9 @@ def _too_few(
     needed = FEWEST if parameters.order is None else parameters.order + 1
     if distinct >= needed:
         return []
-    order = "an order to be chosen" if parameters.order is None else f"order {parameters.order}"
+    wanted = f"for a {parameters.form} of order {parameters.order}"
+    if parameters.order is None:
+        wanted = f"to choose the order of a {parameters.form}"
     count = f"{distinct} planned temperature{'s are' if distinct != 1 else ' is'} too few"
-    message = f"{what}{count} for a {parameters.form} of {order}, which needs {needed}"
+    message = f"{what}{count} {wanted}, which needs {needed}"
     return [Remark("physics-temperatures", message, "sweep over more temperatures", key, error=True)]

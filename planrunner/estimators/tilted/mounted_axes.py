@@ -53,7 +53,7 @@ class MountedAxes:
         """Raises `EstimationError` if an azimuth that `earth_rate: corrected` needs is not stated."""
         for name, azimuth in zip(self.names, self.azimuths, strict=True):
             if math.isnan(azimuth):
-                needs = "`earth_rate: corrected` needs; or write `earth_rate: averaged`"
+                needs = "`earth_rate: corrected` needs: state it, or write `earth_rate: averaged`"
                 raise EstimationError(f"mounting.{name} states no azimuth, which {needs}")
 
 

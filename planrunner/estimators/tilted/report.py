@@ -302,8 +302,8 @@ def _earth_words(situation: Situation, how: str) -> Said:
         )
     ways = {"averaged": said("averaged"), "ignored": said("ignored")}
     return said(
-        "The component of the Earth rate perpendicular to the table's rotation axis is {how}: F0 contains the "
-        "part of this component that the zeros measured at the home position, up to {most:.3g} deg/h on a "
+        "The component of the Earth rate perpendicular to the table's rotation axis is {how}, not corrected. F0 contains "
+        "the part of this component that the gyros measured at rest in the home position, up to {most:.3g} deg/h on a "
         "sensor axis.",
         how=ways.get(how, how),
         most=most,
@@ -314,8 +314,8 @@ def _warnings(situation: Situation) -> list[Said]:
     found, axes = situation.found, situation.conditions.axes
     return [
         said(
-            "{axis}: at the lowest rate the output changes by {share:.2g} of the change expected from the scale factor. This "
-            "is less than half, so the rate is within the threshold or dead zone (IEEE Std 528).",
+            "{axis}: at the lowest rate, the change of the output is {share:.2g} times the change expected from the scale "
+            "factor. This is less than half, so the rate is within the threshold or dead zone (IEEE Std 528).",
             axis=name,
             share=float(value),
         )
