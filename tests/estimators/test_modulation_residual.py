@@ -258,7 +258,7 @@ def test_declared_errors_are_predicted_beside_what_is_measured() -> None:
 def test_short_records_are_compared_without_the_part_that_repeats() -> None:
     found = ModulationResidual().estimate(request(navigated("still", 0.5, hours=1), navigated("turned", 0.1)))
     assert [item.name for item in found.coefficients] == ["cep_rate_ratio_turned", "suppression_turned"]
-    assert any("fewer than 4" in note for note in found.notes)
+    assert any("at least 4 are needed" in note for note in found.notes)
 
 
 @pytest.mark.parametrize(

@@ -360,7 +360,7 @@ def test_a_short_gap_is_bridged(quiet):
 def test_one_state_leaves_the_vertical_axis_out():
     found = estimate(recordings([("vertical", quadruple())]))
     assert [item.name for item in found.coefficients][:2] == ["drift_x", "drift_z"]
-    assert any("y are level" in note for note in found.notes)
+    assert any("y is level" in note for note in found.notes)
     assert all(math.isfinite(item.standard_uncertainty) for item in found.coefficients)
     assert {item.degrees_of_freedom for item in found.coefficients} == {1.0}
 
