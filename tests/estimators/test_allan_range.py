@@ -79,7 +79,11 @@ def test_rounding_that_is_carried_over_is_named_and_its_noise_is_quantisation(se
     found = estimate(count * np.diff(np.round(total / count), prepend=0.0))
     assert error(found, "N", 1.0) < 3.5 and error(found, "Q", count / HERTZ / math.sqrt(12)) < 3.5
     assert found["N_gyro"].standard_uncertainty < 0.02
-    assert [text for text in found.warnings if "rounded to counts of 28.3" in text and "only averaging times of 0.16 s and more" in text]
+    assert [
+        text
+        for text in found.warnings
+        if "rounded to counts of 28.3" in text and "only averaging times of 0.16 s and more" in text
+    ]
     alone = estimate(np.sqrt(HERTZ) * np.round(white(seed) / math.sqrt(HERTZ)))  # nothing is carried over
     assert alone.warnings == () and error(alone, "Q", 0.0) < 3.5
 
