@@ -128,6 +128,11 @@ def test_amplitudes_may_be_negative_and_durations_zero() -> None:
     assert _stated("table_tilt", about_east="-3 arcsec").values["about_east"] == -3.0
     assert _stated("table_position_error", size="0", orientation_1_x="-3").values["orientation_1_x"] == -3.0
     assert _stated("samples_stuck", time="0 s", lasting="0 s").values == {"time": 0.0, "lasting": 0.0}
+
+
+def test_a_delay_may_be_negative() -> None:
+    """A diagnosis also finds data that are early; `close` then adds this delay."""
+    assert _stated("time_latency", delay="-2 ms").values == {"delay": -2e-3}
     assert _stated("gyro_saturation_asymmetric", upper="0").values["upper"] == 0.0
 
 
