@@ -118,6 +118,8 @@ def _print(look: Look) -> None:
         print(f"the rate changes: about {look.other_rate[0]:.3g} Hz from {look.other_rate[1]:.4g} s")
     if look.motion is not None:
         _print_motion(look, look.motion)
+    if look.named_accel:
+        print(look.named_accel)
     count = len(look.still)
     print(f"still: {100 * look.still_share:.0f} % of the time, in {count_of(count, 'span')} of at least 2 s")
 

@@ -212,7 +212,9 @@ def parameters(effect: Effect, observed: Observed) -> list[EffectParameter]:
         return []
     middle: Variant = variants[len(variants) // 2 if isinstance(effect, Shaped) else 0]
     if isinstance(effect, HasShape) and middle.shape is not None:
-        signed = any(column.whole and column.smallest < 0 for column in middle.columns)  # a negative delay: the data are early
+        signed = any(
+            column.whole and column.smallest < 0 for column in middle.columns
+        )  # a negative delay: the data are early
         least: Literal["above zero", "any"] = "any" if signed else "above zero"
         found.append(EffectParameter(effect.shape_name, effect.shape_unit, middle.shape, least))
     if isinstance(effect, PerOrientation):

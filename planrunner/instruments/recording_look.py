@@ -57,7 +57,9 @@ MOST_G = 1200.0
 """The mean vector at rest can be gravity only if its length is at most this value, in mg."""
 MOST_DEGREES = 400.0
 """Highest plausible temperature, degC."""
+_LEAST_ROWS = 5  # in a window
 MOVING = 4.0  # times the scatter of the quietest tenth of the windows
+_QUIETEST = 0.1  # share of the windows that count as the quietest
 COURSE = 1.0
 """A window shows a motion if the change of the mean to the next window, divided by the scatter in the window, is above this value.
 The ratio is 2.4 for a constant slope, and 0.2 for white noise in windows of 50 samples."""
@@ -181,10 +183,19 @@ class Look:
         return own, float(self.windows.begin[int(np.argmax(steady))])
 
     @property
+    def bursts(self) -> bool:
+        """Returns True if the recording consists of short pieces with long pauses between them."""
+        count, shortest = self.pauses
+        if not count or self.backwards or self.time is None or not len(self.windows.end):
+            return False
+        whole, recorded = float(self.windows.end[-1]), self.rows / self.rate
+        return whole - recorded > recorded and shortest > recorded / (count + 1)
+
+    @property
     def dwells(self) -> tuple[Span, ...]:
         """Returns the intervals without acceleration, if the gyros show different rates in them; otherwise empty. One window is
         left out at each end of an interval, because the table may still settle there."""
-        if not any(self._turns_at_rates(one) for one in self.channels if one.sensed == "gyro"):
+        if self.bursts or not any(self._turns_at_rates(one) for one in self.channels if one.sensed == "gyro"):
             return ()
         inner = (Span(span.start + WINDOW, span.end - WINDOW) for span in self.still)
         return tuple(span for span in inner if span.seconds >= _LEAST_DWELL)
@@ -210,9 +221,26 @@ class Look:
         return self.motion is not None and not self.motion.same_axes
 
     @property
+    def named_accel(self) -> str:
+        """Returns a sentence about accelerometers whose vector at rest is not as long as gravity in the unit that their names state,
+        although it is in another unit; otherwise empty."""
+        accels = [one for one in self.channels if one.sensed == "accel" and one.source == "name" and not one.increments]
+        if len(accels) != 3 or not self.still or len({one.unit for one in accels}) != 1:
+            return ""
+        rested = (_at_rest(self.windows, self.still, self.windows.mean[one.column]) for one in accels)
+        level, named = _median(np.sqrt(sum(means**2 for means in rested))), accels[0].unit
+        fitting = usual_unit("accel", level)
+        if not fitting or fitting == named:
+            return ""
+        return (
+            f"the names of the accelerometers say {named}, but their vector at rest is as long as gravity in {fitting}"
+        )
+
+    @property
     def still_share(self) -> float:
-        """Returns the fraction of the recorded time that is without motion."""
-        whole = float(np.sum(self.windows.end - self.windows.begin))
+        """Returns the fraction of the recorded time that is without motion. Windows that contain a pause do not count."""
+        lengths = self.windows.end - self.windows.begin
+        whole = float(np.sum(lengths[lengths <= self.windows.length + max(PAUSE, _PERIODS / self.rate)]))
         return sum(span.seconds for span in self.still) / whole if whole else 0.0
 
 
@@ -278,7 +306,9 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
     samples = max(counts[one.column] for one in guesses if one.sensed in ("gyro", "accel"))
     sparse = tuple(one.column for one in guesses if one.sensed and counts[one.column] < _SPARSE * samples)
     sensed = [one for one in guesses if one.sensed and one.column not in sparse]
-    still = _still(windows, [one.column for one in sensed if one.sensed in ("gyro", "accel")])
+    still = _still(
+        windows, max(PAUSE, _PERIODS / found), [one.column for one in sensed if one.sensed in ("gyro", "accel")]
+    )
     period = 1 / found
     motion = _motion(sensed, windows, still, period)
     channels = _channels(sensed, windows, still, motion, period)
@@ -495,7 +525,7 @@ def _windows(
 
     Also returns the number of rows, and the number of finite values in each column. `about`: approximate number of rows. `rate`:
     sample rate, Hz."""
-    size = max(2, round(WINDOW * rate), math.ceil(about / MOST_WINDOWS))
+    size = max(_LEAST_ROWS, round(WINDOW * rate), math.ceil(about / MOST_WINDOWS))
     pace = Pace("looking at the recording", about, notice)
     kept: dict[str, Array] = {column: np.zeros(0) for column in columns}
     means: dict[str, list[Array]] = {column: [] for column in columns}
@@ -547,22 +577,27 @@ def _counted(windows: WindowLevels, rate: float) -> WindowLevels:
     return replace(windows, begin=begin, end=begin + windows.size / rate)
 
 
-def _still(windows: WindowLevels, columns: Sequence[str]) -> tuple[Span, ...]:
+def _still(windows: WindowLevels, pause: float, columns: Sequence[str]) -> tuple[Span, ...]:
     """Returns the spans in which every sensor is at rest. A sensor is at rest if two conditions hold. First, its mean does not
     change much between windows. Second, its scatter is similar to the scatter in its quietest windows, or small compared with the
-    scatter in motion."""
+    scatter in motion. A span ends at each pause that is longer than `pause` [s]."""
+    from scipy.stats import chi2
+
     if not columns or not len(windows.begin):
         return ()
-    quiet = np.ones(len(windows.begin), bool)
+    quiet = windows.end - windows.begin <= windows.length + pause
+    low = math.sqrt(
+        chi2.ppf(_QUIETEST, windows.size - 1) / (windows.size - 1)
+    )  # quantile of the scatter of white noise
     for column in columns:
         scatter = windows.scatter[column]
         known = scatter[np.isfinite(scatter)]
         if not len(known):
             continue
-        usual, most = np.quantile(known, (0.1, 0.95)).tolist()
+        usual, most = np.quantile(known, (_QUIETEST, 0.95)).tolist()
         least = max(most / _RANGE, np.finfo(float).tiny)
         quiet &= scatter <= max(MOVING * usual, least)
-        quiet &= _course(windows.mean[column]) <= np.maximum(COURSE * scatter, least)
+        quiet &= _course(windows.mean[column]) <= np.maximum(COURSE * np.fmax(scatter, usual / low), least)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet.view(np.int8), [0]]))).reshape(-1, 2)
     spans = (Span(float(windows.begin[begin]), float(windows.end[end - 1])) for begin, end in edges.tolist())
     return tuple(span for span in spans if span.seconds >= AT_LEAST)
@@ -618,6 +653,16 @@ def _channels(
         )  # one axis may be close to the vertical
     else:
         norm = largest = _median(np.sqrt(sum(means**2 for means in rested[:3])))
+    quietest = min(
+        (
+            _median(_at_rest(windows, still, windows.scatter[one.column])) / _integrated(one, period)
+            if still
+            else math.nan
+            for one in guesses
+            if one.sensed == "gyro"
+        ),
+        default=math.nan,
+    )
     fastest = max(
         (_large(windows.mean[one.column]) / _integrated(one, period) for one in guesses if one.sensed == "gyro"),
         default=0.0,
@@ -634,7 +679,7 @@ def _channels(
         known = np.abs(mean[np.isfinite(mean)])
         level = {"gyro": fastest, "accel": largest}.get(one.sensed, _median(known))
         turned = "" if motion is None or one.sensed != "gyro" or in_counts else motion.unit
-        unit = one.unit or turned or usual_unit(one.sensed, level, accel_unit)
+        unit = one.unit or turned or usual_unit(one.sensed, level, accel_unit, quietest)
         usual = level if one.sensed == "temperature" else norm
         counts = not one.unit and (in_counts or usual > (MOST_DEGREES if one.sensed == "temperature" else MOST_G))
         per_unit = _integrated(one, period)

@@ -104,7 +104,10 @@ def bench_of(look: Look, name: str) -> str:
     count, shortest = look.pauses
     if count and not look.backwards:
         steps = f"The time steps by {shortest:.3g} s and more in {count_of(count, 'place')}"
-        lines.append(f"    # {steps}. To make each piece a segment: pauses: {shortest / 2:.3g} s")
+        if look.bursts:
+            lines += [f"    # {steps}: each piece is a segment.", f"    pauses: {shortest / 2:.3g} s"]
+        else:
+            lines.append(f"    # {steps}. To make each piece a segment: pauses: {shortest / 2:.3g} s")
     if look.motion is not None and look.reversed_axes:
         lines += [f"    # {part}" for part in axes_note(look.motion.axes)]
     lines.append("    channels:")
@@ -148,6 +151,17 @@ def _dwell_lines(look: Look) -> list[str]:
     return lines
 
 
+def _segment_lines(look: Look) -> list[str]:
+    """Returns the segments of a plan: one for each rate, for each piece of the recording, or for the whole recording."""
+    if look.dwells:
+        return _dwell_lines(look)
+    if look.bursts:
+        return [
+            f'  - {{label: "part_{{repeat}}", repeat: {look.pauses[0] + 1}, orientation: unknown, dwell: recorded}}'
+        ]
+    return ["  - {label: all, orientation: unknown, dwell: recorded}"]
+
+
 def plan_of(look: Look, name: str) -> str:
     """Returns the text of a first plan for the recording. `name`: name of the bench that the plan uses."""
     outputs = [one.name for one in look.channels if one.sensed in ("gyro", "accel")]
@@ -158,7 +172,7 @@ def plan_of(look: Look, name: str) -> str:
         f"bench: ./{name}.bench.yaml",
         f"sensor: {{kind: imu, outputs: [{', '.join(outputs)}]}}",
         "segments:",
-        *(_dwell_lines(look) or ["  - {label: all, orientation: unknown, dwell: recorded}"]),
+        *_segment_lines(look),
     ]
     triad = [one for one in look.channels if one.name in ("accel_x", "accel_y", "accel_z")]
     estimates: list[str] = []
@@ -185,13 +199,17 @@ def plan_of(look: Look, name: str) -> str:
         estimates = [
             "  noise:",
             "    estimator: allan_deviation",
-            "    segments: all",
+            f"    segments: {'part_*' if look.bursts else 'all'}",
             f"    outputs: [{', '.join(live)}]",
         ]
     if estimates:
         lines += ["estimates:", *estimates]
     lines += diagnosis
-    if not estimates and not look.dwells:
+    if look.bursts and not look.dwells:
+        lines.append(
+            "# The recording consists of separate pieces, in the order of time. Write the states of the sensor into the segments."
+        )
+    elif not estimates and not look.dwells:
         lines.append(
             "# Add `segments` to the bench, with a table of labels and times, and then estimates: see docs/plan-language.md"
         )

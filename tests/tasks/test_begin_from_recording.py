@@ -127,7 +127,8 @@ def test_pauses_are_pointed_out(tmp_path: Path, capsys: pytest.CaptureFixture[st
     omega = np.random.default_rng(4).normal(0.1, 0.02, 2000)
     np.savez(tmp_path / "bursts.npz", time=time, omega_z=omega)
     begun(tmp_path / "bursts.npz", capsys=capsys)
-    assert "in 3 places. To make each piece a segment: pauses: 145 s" in (tmp_path / "begun.bench.yaml").read_text()
+    bench = (tmp_path / "begun.bench.yaml").read_text()
+    assert "in 3 places: each piece is a segment.\n    pauses: 145 s\n" in bench
 
 
 def test_bursts_at_equal_intervals_have_one_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -529,3 +530,66 @@ def test_counts_that_hide_all_noise_give_a_threshold_above_zero(
     assert "threshold: 1e-06 m/s^2" in plan.read_text(encoding="utf-8")
     main(["check", str(plan)])
     assert "meaning-range" not in "".join(capsys.readouterr())
+
+
+def test_short_pieces_with_long_pauses_become_segments(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Twelve pieces of 20 s in an hour; the biases drift from piece to piece, which is no motion of a rate table. The gyros are in
+    deg/s, as their noise shows."""
+    draw = np.random.default_rng(9)
+    time = np.arange(36_000) / 10
+    time = time[time % 300 < 20]
+    gyro = np.outer(time / 1000, [0.2, -0.1, 0.05]) + draw.normal(0, 0.02, (len(time), 3))
+    accel = np.array([0, 0, 9.81]) + draw.normal(0, 0.004, gyro.shape)
+    said = begun(csv(tmp_path / "r.csv", NAMES, time, gyro, accel), capsys=capsys)
+    assert units(said)["gyro_x"] == "deg/s"
+    bench, plan = (tmp_path / "begun.bench.yaml").read_text(), (tmp_path / "begun.yaml").read_text()
+    assert "\n    pauses: 140 s\n" in bench and "stretches" not in bench
+    assert '{label: "part_{repeat}", repeat: 12, orientation: unknown, dwell: recorded}' in plan
+    assert main(["check", str(tmp_path / "begun.yaml"), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
+
+
+def test_a_slow_recording_at_rest_is_at_rest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At 10 Hz, half a second contains five samples."""
+    draw = np.random.default_rng(10)
+    gyro = draw.normal(0, 2e-4, (12_000, 3))
+    accel = np.array([0, 0, 9.81]) + draw.normal(0, 0.004, gyro.shape)
+    said = begun(csv(tmp_path / "r.csv", NAMES, np.arange(12_000) / 10, gyro, accel), capsys=capsys)
+    assert units(said)["gyro_x"] == "rad/s"
+    assert sum(end - begin for begin, end in said["still_s"]) > 1100  # type: ignore[attr-defined]
+    assert "allan_deviation" in (tmp_path / "begun.yaml").read_text()
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        (
+            "t[s],wx[dps],wy[dps],wz[dps],ax[g],ay[g],az[g]",
+            "say g, but their vector at rest is as long as gravity in m/s^2",
+        ),
+        ("t[ms],wx,wy,wz,ax,ay,az", "the unit leads to an unusual sample rate: check it"),
+    ],
+)
+def test_units_in_names_that_the_numbers_contradict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], header: str, words: str
+) -> None:
+    time, gyro, accel = turned()
+    assert (
+        main(
+            [
+                "new",
+                "--from-recording",
+                str(csv(tmp_path / "r.csv", header, time, gyro, accel)),
+                str(tmp_path / "b.yaml"),
+            ]
+        )
+        == 0
+    )
+    assert words in " ".join(capsys.readouterr().out.split())
+
+
+def test_names_in_two_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    time, gyro, accel = turned()
+    file = csv(tmp_path / "r.csv", "s,X,Y,Z,X,Y,Z", time, gyro, accel, before="Time,Gyroscope,,,Accelerometer,,\n")
+    said = begun(file, capsys=capsys)
+    assert units(said) == {**{f"gyro_{x}": "rad/s" for x in "xyz"}, **{f"accel_{x}": "m/s^2" for x in "xyz"}}
+    assert main(["check", str(tmp_path / "begun.yaml"), "--data", str(tmp_path)]) == 0, capsys.readouterr().err

@@ -167,7 +167,8 @@ class LikelyTime:
     def doubt(self) -> str:
         """Returns the reason why the unit may be wrong; empty if `sure` is True."""
         if self.sure:
-            return ""
+            unusual = "the unit leads to an unusual sample rate: check it"
+            return unusual if self.rate > _USUAL_RATES[1] else ""
         return (
             f"guessed from the header line '{self.line}'"
             if self.line
@@ -228,6 +229,9 @@ _REFUSED = (
     ("a PDF file", b"%PDF", "ask for the numbers as a text file"),
 )
 """Files that are recognised but not read. Each entry states the kind of file, how the file begins, and what the user can do."""
+_FASTEST, _NOISIEST = 40.0, 0.007
+"""Largest rate and largest noise of a sample at rest that a gyro in rad/s usually shows."""
+_FASTEST_UNKNOWN = 12.0  # the same rate if the noise is unknown
 NO_UNITS: Mapping[str, str] = MappingProxyType({})
 _TOPIC = re.compile(r"^/[^.\s]*\.")
 """The topic at the start of a column name in a ROS bag."""
@@ -314,6 +318,18 @@ def _sheet_of_samples(path: Path, name: str) -> Format:
 def _width(row: Sequence[str]) -> int:
     """Returns the number of cells up to the last one that is not empty."""
     return max((k + 1 for k, cell in enumerate(row) if cell), default=0)
+
+
+def _in_two_lines(groups: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """Returns the names of columns that two lines state: a name in the line above belongs to all columns up to the next one, such as
+    `Gyroscope,,,Accelerometer,,` above `X,Y,Z,X,Y,Z`. The result is empty if these names are not unique either."""
+    if len(groups) > len(names) or not groups[0] or sum(map(bool, groups)) < 2:
+        return ()
+    found, last = [], ""
+    for group, name in itertools.zip_longest(groups, names, fillvalue=""):
+        last = group or last
+        found.append(f"{last} {name}".strip())
+    return tuple(found) if len(set(found)) == len(found) else ()
 
 
 def _row_names(names: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
@@ -429,6 +445,8 @@ def _names_above(lines: Sequence[Sequence[str]], width: int, rows: Sequence[Sequ
         return numbered
     held = [[cell.strip().strip('"').strip() for cell in line] for line in lines]
     direct = len(held[-1]) == width
+    if direct and len(held) > 1 and len(set(held[-1])) < width and (joined := _in_two_lines(held[-2], held[-1])):
+        return joined
     while held and not any(held[-1]):
         held.pop()
     if not held:
@@ -836,10 +854,11 @@ def guessed_channel(column: str, first: int = 1) -> Guess:
     return Guess(column, sensed, letter, unit)
 
 
-def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
+def usual_unit(sensed: str, level: float, accel_unit: str = "", noise: float = math.nan) -> str:
     """Guesses the unit of a column whose name does not contain a unit; empty if no unit is plausible. `level`: for a gyro, the
     largest magnitude in the column; for an accelerometer, the length of the mean vector at rest; for a thermometer, the usual
-    value. `accel_unit`: for a gyro, the unit of the accelerometers."""
+    value. `accel_unit`: for a gyro, the unit of the accelerometers. `noise`: for a gyro, the standard deviation of a sample at rest;
+    NaN if it is unknown."""
     if sensed == "accel":
         lengths = (
             ("m/s^2", STANDARD_GRAVITY, _GRAVITY_NAMED),
@@ -851,7 +870,8 @@ def usual_unit(sensed: str, level: float, accel_unit: str = "") -> str:
                 return unit
         return ""
     if sensed == "gyro":
-        return "rad/s" if accel_unit == "m/s^2" and level < 40 else "deg/s"
+        in_radians = level < _FASTEST_UNKNOWN if math.isnan(noise) else level < _FASTEST and noise < _NOISIEST
+        return "rad/s" if accel_unit == "m/s^2" and in_radians else "deg/s"
     if sensed == "temperature":
         return "K" if 220 < level < 400 else "degC"  # of an instrument that works at less than 127 degC
     return ""
