@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from planrunner.error_model.effects.gyro_output import GyroDeadZone, GyroSaturation
+from planrunner.error_model.effects.gyro_output import GyroDeadZone, GyroSaturation, GyroSaturationAsymmetric
 from planrunner.error_model.effects.interface import Variant
 from planrunner.error_model.effects.warming import GyroWarmUp
 from planrunner.error_model.observed import Observed
@@ -78,13 +78,16 @@ def test_the_interval_includes_the_uncertainty_of_bias_and_scale_factor() -> Non
     assert held[False] < binom.ppf(0.01, tries, 0.9)
 
 
-def _limited(seed: int, limit: float, sampling: float = SAMPLING) -> tuple[Observed, Array]:
-    """A recording whose gyros are limited together with their noise, and the outputs (N, K) without noise and limit."""
+def _limited(
+    seed: int, limit: float, sampling: float = SAMPLING, lower: float | None = None
+) -> tuple[Observed, Array]:
+    """A recording whose gyros are limited together with their noise, and the outputs (N, K) without noise and limit. `lower`: the magnitude
+    of the limit in the negative direction, by default the same."""
     exact = record(seed=seed, sampling=sampling, clean=True)
     draw = np.random.default_rng([seed, 2])
     sigma = np.array([channel.white for channel in exact.channels]) * np.sqrt(sampling)
     values = exact.values + sigma * draw.standard_normal(exact.values.shape)
-    values[:, :3] = np.clip(values[:, :3], -limit, limit)
+    values[:, :3] = np.clip(values[:, :3], -(limit if lower is None else lower), limit)
     return replace(
         exact, values=values, channels=tuple(replace(one, resolution=0.0) for one in exact.channels)
     ), exact.values
@@ -135,6 +138,34 @@ def test_readings_that_stand_at_a_limit_are_not_taken_for_precise_ones(limit: fl
     assert found.verdict.effects == ("gyro_saturation",)
     (one,) = found.parameters
     assert abs(one.value - limit) < 3 * one.standard_uncertainty
+
+
+@pytest.mark.parametrize(
+    ("upper", "lower"), [(60.0, np.inf), (np.inf, 89.9), (17.0, np.inf), (60.0, 80.0), (85.0, 30.0)]
+)
+def test_limits_that_differ_between_the_directions_are_named_with_their_values(upper: float, lower: float) -> None:
+    """The rates are ±18, ±40 and ±90 deg/s. With the limit of both directions as the only hypothesis, the answer was an asymmetry together
+    with a nonlinearity, or unknown."""
+    recorded, _ = _limited(5, upper * DEG, lower=lower * DEG)
+    found = diagnose(recorded)
+    assert found.verdict.effects == ("gyro_saturation_asymmetric",) and not found.verdict.something_else
+    expected = {name: value for name, value in (("upper", upper), ("lower", lower)) if np.isfinite(value)}
+    assert {one.name for one in found.parameters} == set(expected)
+    assert all(abs(one.value - expected[one.name]) < 3 * one.standard_uncertainty for one in found.parameters)
+
+
+def test_a_limit_of_one_direction_is_a_hypothesis_only_if_readings_stand_at_it() -> None:
+    """Not in a recording without a limit, with counts that the noise dithers, or with the same limit in both directions. A few wild readings
+    hide no limit."""
+    effect = GyroSaturationAsymmetric()
+    assert not effect.shown_in(record(seed=3, sampling=SAMPLING))
+    assert not effect.shown_in(_limited(5, 60 * DEG)[0])
+    assert not effect.shown_in(_limited(5, 200 * DEG)[0])
+    one_sided, _ = _limited(5, 60 * DEG, lower=np.inf)
+    wild = one_sided.values.copy()
+    wild[::200, 0] = 300 * DEG
+    (way,) = effect.ways_shown(replace(one_sided, values=wild))
+    assert way.shape_name == "upper"
 
 
 @pytest.mark.slow

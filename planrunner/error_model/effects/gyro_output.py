@@ -14,6 +14,11 @@ from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
 _LINEAR = 0.02  # fraction of the largest output; below it, a soft limit changes an output by less than 1e-5 of its largest change
+_FRACTIONS = 1 - np.concatenate([np.linspace(0.95, 0.65, 7), np.geomspace(0.6, 1e-7, 32)])
+"""Limits that a diagnosis tries first, as fractions of the largest output."""
+_LARGEST = 100  # number of largest readings among which a limit is searched
+_REPEATED = 10  # smallest number of equal readings that stand at a limit
+_ROUNDING = 1e-9  # relative difference up to which readings are equal
 _SHORT = 1e-6  # s, a delay so short that the secant equals the tangent
 
 
@@ -123,8 +128,7 @@ class GyroSaturation(Shaped):
     def grid(self, observed: Observed) -> Array:
         if not observed.of_kind("gyro") or not observed.turn.any():
             return np.empty(0)
-        depth = np.concatenate([np.linspace(0.95, 0.65, 7), np.geomspace(0.6, 1e-7, 32)])
-        return float(observed.largest_gyro_output.max()) / DEG * (1 - depth)
+        return float(observed.largest_gyro_output.max()) / DEG * _FRACTIONS
 
     def at(self, observed: Observed, value: float) -> Variant:
         return _clipped(observed, value, (-value * DEG, value * DEG))
@@ -132,23 +136,32 @@ class GyroSaturation(Shaped):
 
 class _OneSided(Shaped):
     """Clips the output at one of its two limits. `sign`: 1 for the upper limit, −1 for the lower limit. The shape parameter is the
-    magnitude of this limit. A diagnosis tries only limits whose magnitude the unclipped output exceeds in both directions. For
-    other limits, the effect cannot be distinguished from `gyro_saturation`."""
+    magnitude of this limit. `other`: magnitude of the limit in the other direction, rad/s; infinite if there is none. A diagnosis
+    tries only limits whose magnitude the unclipped output exceeds in both directions. For other limits, the effect cannot be
+    distinguished from `gyro_saturation`."""
 
     stage, shape_unit, acts_on = "output", "deg/s", "output"
     sign: int
 
-    def __init__(self, effect: str):
-        self.id = effect
+    def __init__(self, effect: str, other: float = np.inf):
+        self.id, self.other = effect, other
 
     def grid(self, observed: Observed) -> Array:
         if not observed.of_kind("gyro") or not observed.turn.any():
             return np.empty(0)
         reached = float(np.abs(observed.gyro_range).max(axis=0).min())
-        return reached / DEG * (1 - np.geomspace(0.6, 1e-7, 20)) if reached > 0 else np.empty(0)
+        return reached / DEG * _FRACTIONS if reached > 0 else np.empty(0)
 
     def at(self, observed: Observed, value: float) -> Variant:
-        return _clipped(observed, value, (-np.inf, value * DEG) if self.sign > 0 else (-value * DEG, np.inf))
+        limit = value * DEG
+        return _clipped(observed, value, (-self.other, limit) if self.sign > 0 else (-limit, self.other))
+
+    def opposite(self, value: float) -> _OneSided | None:
+        """Returns the effect with the limit of the other direction as its shape parameter, if there is such a limit. `value`: the
+        limit of this direction, deg/s."""
+        if not np.isfinite(self.other):
+            return None
+        return (_Below if self.sign > 0 else _Above)(self.id, value * DEG)
 
 
 class _Above(_OneSided):
@@ -165,7 +178,7 @@ class _Below(_OneSided):
 
 class GyroSaturationAsymmetric:
     """Clips the output at +upper and at −lower. The limits differ, for example because an offset is added to the output before
-    clipping."""
+    clipping. It is a hypothesis only if many readings stand at a limit that other readings exceed in the other direction."""
 
     id, stage, hypothesis = "gyro_saturation_asymmetric", "output", False
     about = About(
@@ -180,6 +193,21 @@ class GyroSaturationAsymmetric:
 
     def variants(self, observed: Observed) -> list[Variant]:
         return [variant for one in self.alternatives for variant in one.variants(observed)]
+
+    def shown_in(self, observed: Observed) -> bool:
+        return bool(self.ways_shown(observed))
+
+    def ways_shown(self, observed: Observed) -> list[Shaped]:
+        """Returns the ways in which the readings may be clipped: at one limit, or at different limits in both directions. The
+        result is empty if the readings of the gyros do not stand at a limit, or if they do not exceed it in the other direction
+        either."""
+        readings = observed.values[:, observed.of_kind("gyro")].ravel()
+        upper, lower = _repeated_maximum(readings), _repeated_maximum(-readings)
+        if not observed.turn.any() or max(_count_beyond(-readings, upper), _count_beyond(readings, lower)) < _REPEATED:
+            return []
+        if np.isfinite(lower) and np.isfinite(upper):
+            return [_Above(self.id, lower)]
+        return [_Above(self.id) if np.isfinite(upper) else _Below(self.id)]
 
 
 class GyroSoftSaturation(Shaped):
@@ -228,6 +256,29 @@ class GyroFoldOver(Shaped):
         limit = value * DEG
         beyond = observed.largest_gyro_output > limit
         return _changed(observed, lambda y: y - 2 * limit * np.floor((y + limit) / (2 * limit)), value, beyond)
+
+
+def _repeated_maximum(readings: Array) -> float:
+    """Returns the limit at which the largest of the readings (n,) stand. Readings stand at a limit if at least `_REPEATED` readings
+    are equal, and if this limit occurs more often than larger readings and than the next smaller reading. A few errors of single
+    samples may be larger. The result is infinite if the readings do not stand at a limit."""
+    if len(readings) < _LARGEST:
+        return np.inf
+    largest = np.sort(np.partition(readings, -_LARGEST)[-_LARGEST:])
+    same = _ROUNDING * float(np.abs(largest).max())
+    first = np.flatnonzero(np.concatenate([[True], np.diff(largest) > same]))
+    repeated = np.diff([*first.tolist(), len(largest)])
+    most = int(np.argmax(repeated))
+    limit, larger = float(largest[first[most]]), int(repeated[most + 1 :].sum())
+    smaller = readings[readings < limit - same]
+    number = len(readings) - larger - len(smaller)
+    next_number = int((smaller >= smaller.max() - same).sum()) if len(smaller) else 0
+    return limit if limit > 0 and number >= _REPEATED and number > max(larger, next_number) else np.inf
+
+
+def _count_beyond(readings: Array, limit: float) -> int:
+    """Returns the number of readings (n,) that are larger than a limit."""
+    return int((readings > limit + _ROUNDING * abs(limit)).sum()) if np.isfinite(limit) else 0
 
 
 def _clipped(observed: Observed, shape: float, limits: tuple[float, float]) -> Variant:

@@ -369,9 +369,28 @@ class HasAlternatives(Effect, Protocol):
     alternatives: Sequence[Shaped]
 
 
-def ways_of(effect: Effect) -> Sequence[Effect]:
+@runtime_checkable
+class ShowsItsWays(HasAlternatives, Protocol):
+    """An effect with alternatives, if the recording may show which of them act."""
+
+    def ways_shown(self, observed: Observed) -> Sequence[Shaped]:
+        """Returns the ways that the recording shows. A way may combine several alternatives. The result is empty if the recording
+        does not show how the effect acts."""
+
+
+@runtime_checkable
+class PairedShapes(HasShape, Protocol):
+    """An effect with two parameters of the shape, of which one is known. An example is an output with a limit in each direction."""
+
+    def opposite(self, value: float) -> Shaped | None:
+        """Returns the same effect with the other parameter as its shape. Returns None if there is no other parameter. `value`: the
+        value of the present shape, which is then known."""
+
+
+def ways_of(effect: Effect, observed: Observed) -> Sequence[Effect]:
     """Returns the ways in which an effect may act, each as an effect; usually this is the effect itself."""
-    return effect.alternatives if isinstance(effect, HasAlternatives) else (effect,)
+    shown = effect.ways_shown(observed) if isinstance(effect, ShowsItsWays) else ()
+    return shown or (effect.alternatives if isinstance(effect, HasAlternatives) else (effect,))
 
 
 @runtime_checkable

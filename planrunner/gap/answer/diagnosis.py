@@ -25,6 +25,8 @@ from planrunner.error_model.effects.interface import (
     NoHypothesis,
     NotFitted,
     OutsideCoefficients,
+    PairedShapes,
+    Shaped,
     ShownInSome,
     effect_named,
 )
@@ -398,7 +400,8 @@ def _parameters(
             continue
         shaped = shape_alone(by_id[name])
         if shaped is not None and name in exact:
-            listed += estimates.wider(estimates.exact_shape(shaped, exact[name]), by_id[name].best, ratios)
+            alone = _exact_shapes(weighing, shaped, exact[name])
+            listed += estimates.wider(alone, by_id[name].best, ratios)
             continue
         if shaped is not None and len(said.effects) == 1 and by_id[name].best.amplitudes[0][0] < 0:
             listed += estimates.wider(estimates.opposite(shaped, by_id[name].best), by_id[name].best, ratios)
@@ -412,7 +415,8 @@ def _parameters(
             own = together.columns(name)
             acting = together.on_others
             if acting is not None and together.members[acting[0]] is member and shaped is not None:
-                listed += estimates.wider(estimates.exact_shape(shaped, acting[1].forms), member.form, ratios)
+                exactly = _exact_shapes(weighing, shaped, acting[1].forms)
+                listed += estimates.wider(exactly, member.form, ratios)
                 continue
             weights, columns = weighing, together.weighed
             if acting is not None:
@@ -420,6 +424,13 @@ def _parameters(
             listed += estimates.amplitudes(weights, name, columns, own, walking, ratios)
             listed += estimates.wider(estimates.shape(member.candidate), member.form, ratios)
     return listed
+
+
+def _exact_shapes(weighing: Weighing, effect: Shaped, forms: Forms) -> list[ParameterEstimate]:
+    """Estimates the shape of an effect that has no amplitude, and its other parameter if the effect has one (`PairedShapes`)."""
+    found = estimates.exact_shape(effect, forms)
+    other = effect.opposite(found[0].value) if isinstance(effect, PairedShapes) else None
+    return found if other is None else [*found, *estimates.exact_shape(other, whole_forms(weighing, other))]
 
 
 def _finite(value: Json) -> Json:

@@ -58,7 +58,8 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
     """Evaluates each effect with every shape on its grid. The grid is refined where the evidence is sharp."""
     if not effects:
         return []
-    ways = [way for effect in effects for way in ways_of(effect)]
+    each = [ways_of(effect, weighing.observed) for effect in effects]
+    ways = [way for own in each for way in own]
     forms: list[list[Variant]] = []
     blocks = []
     for way in ways:
@@ -70,7 +71,7 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
     found = iter(
         [_candidate(weighing, way, [next(weighed) for _ in form]) for way, form in zip(ways, forms, strict=True)]
     )
-    return [_likeliest([next(found) for _ in ways_of(effect)]) for effect in effects]
+    return [_likeliest([next(found) for _ in own]) for own in each]
 
 
 def _groups(effect: Effect, observed: Observed) -> Iterator[Sequence[Variant]]:
