@@ -17,6 +17,7 @@ frequency bands, and P is the number of columns.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby, pairwise
@@ -35,6 +36,8 @@ FINE = 5  # number of the highest octaves, each of which has four bands
 UPPER = 0.999 / 8  # fraction of the sampling rate above which the bands define the white level
 RESPONSE = -1
 """Marks the coefficients of the response to a recorded motion. This value is used instead of the order of a harmonic."""
+NODES = 49  # number of samples that represent a turn of the table
+_SMOOTH = 1e-9  # fraction of a signal by which a trigonometric polynomial may miss it
 _DEPENDENT = 0.05  # smallest fraction of its norm that a harmonic must keep after the lower orders are removed
 
 
@@ -115,6 +118,30 @@ class Spectrum:
         bases = [alone[id(own)] if one else own for own, one in zip(self.bases, constant, strict=True)]
         return replace(self, bases=tuple(bases))
 
+    def of_turns(self, observed: Observed, signals: Sequence[Array]) -> tuple[Spectrum, NDArray[np.bool_]]:
+        """Returns a copy that projects columns with few samples of each segment in which the table turns at a constant rate, and a
+        mask (N,) of the remaining samples. All columns of such a segment must be functions of the table's angle alone. From
+        `NODES` samples that are spread over a turn, the trigonometric polynomial through these samples is projected. This is exact
+        for smooth functions, and an approximation for functions with an edge. A segment keeps all its samples if the table makes
+        less than a turn, or if one of the `signals`, arrays of shape (N,), is not such a polynomial. Like `of_constant`, the copy
+        is only for `project`."""
+        bases, kept = list(self.bases), np.ones(len(observed.time), dtype=bool)
+        for index, (motion, part) in enumerate(zip(observed.motions, observed.segments(), strict=True)):
+            angle = observed.angle[part]
+            if not isinstance(motion, Spin) or len(angle) <= 2 * NODES or np.ptp(angle) < 2 * np.pi * (1 - 1 / NODES):
+                continue
+            at = _spread_over_a_turn(angle)
+            waves = _waves(angle, (len(at) - 1) // 2)
+            through = np.linalg.pinv(waves[at])
+            own = np.column_stack([signal[part] for signal in signals])
+            missed = np.abs(own - waves @ (through @ own[at])).max(axis=0)
+            if (missed > _SMOOTH * np.abs(own).max(axis=0)).any():
+                continue
+            bases[index] = replace(bases[index], vectors=((bases[index].vectors.T @ waves) @ through).T)
+            kept[part] = False
+            kept[part.start + at] = True
+        return replace(self, bases=tuple(bases)), kept
+
     def outside(self, observed: Observed, columns: Array) -> Array:
         """Removes the components in the basis of each segment from columns (N, P), in the same way as from the samples."""
         out = columns.copy()
@@ -142,6 +169,24 @@ class Spectrum:
             found.append((vectors, slice(first, last)))
             first = last
         return found
+
+
+def _spread_over_a_turn(angle: Array) -> NDArray[np.int64]:
+    """Returns the indices of at most `NODES` angles, in ascending order, that are spread over a turn. `angle`: array of shape (n,), in
+    rad."""
+    turn = np.mod(angle, 2 * np.pi)
+    order = np.argsort(turn)
+    wanted = 2 * np.pi * np.arange(NODES) / NODES
+    above = np.searchsorted(turn[order], wanted) % len(angle)
+    near = np.stack([order[above - 1], order[above]])
+    away = np.abs(np.mod(turn[near] - wanted + np.pi, 2 * np.pi) - np.pi)
+    return np.unique(near[np.argmin(away, axis=0), np.arange(NODES)])
+
+
+def _waves(angle: Array, harmonics: int) -> Array:
+    """Returns a constant, and the cosines and sines of the multiples 1 to h of an angle (n,), as an array of shape (n, 2h + 1)."""
+    waves = np.cumprod(np.repeat(np.exp(1j * angle)[:, None], harmonics, axis=1), axis=1)
+    return np.hstack([np.ones((len(angle), 1)), waves.real, waves.imag])
 
 
 def basis_of(observed: Observed, index: int) -> SpectralBasis:

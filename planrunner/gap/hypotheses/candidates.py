@@ -437,22 +437,40 @@ class Weighing:
         alone. In some segments, such as segments at rest, the nominal output and all columns are constant. The copy therefore
         contains only one sample of such a segment, which represents all samples. The coefficients of effects are the same as
         before, except for rounding."""
-        of_channels = [part for column in (*self.nominal_columns, *columns) for part in column.parts.values()]
-        signals = {(part.__array_interface__["data"][0], part.strides): part for part in of_channels}
         constant = np.array([course is None for course in self.observed.courses or (None,) * len(self.observed)])
-        for signal in (*self._reference.T, *signals.values()):
+        for signal in self._signals(columns):
             constant &= _constant(signal, self.observed.bounds)
         if not constant.any():
             return self, list(columns)
         kept = ~constant[self.observed.owner]
         kept[self.observed.bounds[:-1]] = True
+        return self._at_samples(kept, self.spectrum.of_constant(constant), columns)
+
+    def of_turns(self, columns: Sequence[Column] = ()) -> tuple[Weighing, list[Column]]:
+        """Returns a copy for a first search for effects on the output, and `columns` for this copy. While the table turns at a
+        constant rate, the copy contains few samples of the nominal output, as `Spectrum.of_turns` describes. The coefficients of
+        effects are approximate in segments in which an output passes a limit or the edge of a dead zone."""
+        spectrum_, kept = self.spectrum.of_turns(self.observed, self._signals(columns))
+        return (self, list(columns)) if kept.all() else self._at_samples(kept, spectrum_, columns)
+
+    def _signals(self, columns: Sequence[Column]) -> list[Array]:
+        """Returns the samples (N,) of the nominal output and of all columns: those of the nominal parameters, and `columns`."""
+        of_channels = [part for column in (*self.nominal_columns, *columns) for part in column.parts.values()]
+        distinct = {(part.__array_interface__["data"][0], part.strides): part for part in of_channels}
+        return [*self._reference.T, *distinct.values()]
+
+    def _at_samples(
+        self, kept: NDArray[np.bool_], spectrum_: Spectrum, columns: Sequence[Column]
+    ) -> tuple[Weighing, list[Column]]:
+        """Returns a copy that contains only the samples in the mask `kept` (N,), and `columns` for this copy. `spectrum_`: projects
+        columns of these samples."""
 
         def short(column: Column) -> Column:
             return replace(column, parts={channel: part[kept] for channel, part in column.parts.items()})
 
         made = self._changed(
             observed=self.observed.at_samples(kept),
-            spectrum=self.spectrum.of_constant(constant),
+            spectrum=spectrum_,
             nominal_columns=[short(column) for column in self.nominal_columns],
             _reference=self._reference[kept],
         )

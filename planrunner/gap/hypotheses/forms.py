@@ -186,14 +186,22 @@ def _resettled(
     return usable, log_bayes
 
 
-def _together(weighing: Weighing, effect: Shaped, best: Weighed, values: Sequence[Array] | None) -> list[Array]:
+def _together(
+    weighing: Weighing,
+    effect: Shaped,
+    best: Weighed,
+    values: Sequence[Array] | None,
+    widths: Sequence[float] = _WIDTHS,
+) -> list[Array]:
     """Fits the nominal parameters together with an effect of amplitude 1, and returns their values (q,) for each channel, in
     magnitudes. `best`: the form of the effect. `values`: nominal parameters at which the fit may start; None if no such parameters
-    are known."""
+    are known. `widths`: the same as in `settled`."""
     acting, taken = on_output(effect), [raw[:, 0] for raw in best.raw]
     if acting is None or values is None:
         values = weighing.nominal_values(taken)
-    return list(values) if acting is None else settled(weighing, acting, float(best.variant.shape or 0.0), values)
+    if acting is None:
+        return list(values)
+    return settled(weighing, acting, float(best.variant.shape or 0.0), values, widths=widths)
 
 
 def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed]) -> tuple[tuple[Weighed, float], ...]:
@@ -275,7 +283,7 @@ def whole_forms(
     `near`: a form from which the search starts, None if no form is known. `columns`: columns, with samples, of other effects whose
     amplitudes are not known exactly."""
     short, columns = (weighing, columns) if on_output(effect) is None else weighing.condensed(columns)
-    found = _search(short.without_walks(), effect, near, columns)
+    found = _found(short.without_walks(), effect, near, columns)
     around = found.shape * np.exp(found.sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
     variants, raw = short.projected([replace(effect.at(found.seen, float(value)), fixed=(0,))] for value in around)
     forms = weighing.weigh(variants, raw)
@@ -288,13 +296,27 @@ def whole_forms(
 
 @dataclass(frozen=True)
 class _Found:
-    """Contains a shape that was found for an effect with the amplitude 1. `seen`: the recording with the nominal output. `along`:
-    the prepared recording in which the shape was found. `sigma`: standard deviation of the logarithm of the shape."""
+    """Contains a shape that was found for an effect with the amplitude 1. `values`: for each channel, the values (q,) of the nominal
+    parameters. `seen`: the recording with the nominal output. `along`: the prepared recording in which the shape was found.
+    `sigma`: standard deviation of the logarithm of the shape."""
 
+    values: Sequence[Array] = field(repr=False)
     seen: Observed = field(repr=False)
     along: Weighing = field(repr=False)
     shape: float
     sigma: float
+
+
+def _found(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column]) -> _Found:
+    """Searches for the most probable shape and fits the nominal parameters. If an effect acts on the output, a first search uses few
+    samples of each turn of the table (`Weighing.of_turns`). The exact search then begins at the result."""
+    few, of_few = (weighing, columns) if on_output(effect) is None else weighing.of_turns(columns)
+    found = _search(few, effect, near, of_few)
+    if few is weighing:
+        return found
+    (best,) = weighing.weigh([effect.at(weighing.seen(found.values), found.shape)])
+    _, found = _alternated(weighing, effect, best, found.values, columns, _STEPS_BESIDE, _WIDTHS[-1:])
+    return found
 
 
 def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column]) -> _Found:
@@ -305,11 +327,11 @@ def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: S
     leaves no more than noise, no other shape can explain clearly more, and none is tried."""
     best, values = (near, None) if near is not None else _start(weighing, effect)
     steps = _STEPS if near is None else _STEPS_BESIDE
-    evidence, found, values = _alternated(weighing, effect, best, values, columns, steps)
+    evidence, found = _alternated(weighing, effect, best, values, columns, steps)
     acting = on_output(effect)
-    if acting is None or near is not None or _only_noise(weighing, acting, found.shape, values):
+    if acting is None or near is not None or _only_noise(weighing, acting, found.shape, found.values):
         return found
-    value, other = _beside(weighing, acting, found.shape, values, columns)
+    value, other = _beside(weighing, acting, found.shape, found.values, columns)
     return other if value > evidence + _TOLD else found
 
 
@@ -347,7 +369,7 @@ def _beside(
         ends = [float(found[top - 1]), float(found[top + 1])]
     _, sigma = _parabola(found, evidence, top)
     along = moving(weighing, effect, float(np.exp(place)), values, columns)
-    return float(evidence[top]), _Found(weighing.seen(values), along, float(np.exp(place)), sigma)
+    return float(evidence[top]), _Found(values, weighing.seen(values), along, float(np.exp(place)), sigma)
 
 
 def _alternated(
@@ -357,19 +379,20 @@ def _alternated(
     values: Sequence[Array] | None,
     columns: Sequence[Column],
     steps: int,
-) -> tuple[float, _Found, Sequence[Array]]:
+    widths: Sequence[float] = _WIDTHS,
+) -> tuple[float, _Found]:
     """Searches for the shape and fits the nominal parameters, in turn. If the search alternates between shapes or does not
     converge, the most probable of the visited shapes is used, with the nominal parameters that were fitted for it. Returns the
-    evidence, the shape, and the parameters (q,) of each channel."""
+    evidence and the shape. `widths`: the same as in `settled`."""
     shape, last, acting = float(best.variant.shape or 0.0), np.nan, on_output(effect)
-    visited: list[tuple[float, _Found, Sequence[Array]]] = []
+    visited: list[tuple[float, _Found]] = []
     for _ in range(steps):
-        values = _together(weighing, effect, best, values)
+        values = _together(weighing, effect, best, values, widths)
         seen, before, last = weighing.seen(values), last, shape
         along = weighing if acting is None else moving(weighing, acting, shape, values, columns)
         shape, sigma = _most_probable(along, effect, seen, last)
         (best,) = weighing.weigh([effect.at(seen, shape)])
-        visited.append((_evidence(weighing, best), _Found(seen, along, shape, sigma), values))
+        visited.append((_evidence(weighing, best), _Found(values, seen, along, shape, sigma)))
         if abs(np.log(shape / last)) < _SAME * sigma:
             return visited[-1]
         visited = [max(visited, key=lambda one: one[0])]  # each contains the outputs of a nominal model
