@@ -41,7 +41,7 @@ from planrunner.error_model.effects.interface import (
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import RANGE, log_mean_exp
 from planrunner.gap.evidence.weighing import coefficients_of
-from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.candidates import ABSORBED, Candidate, Forms, Weighed, Weighing
 
 _REFINE = 8.0  # log Bayes factor above which the grid of a shape is refined
 BENT = 30.0  # log Bayes factor above which an effect may distort the fit of the nominal parameters
@@ -68,10 +68,35 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
         blocks.append(coefficients)
     raw = [np.hstack([block.pop(0) for block in blocks]) for _ in weighing.observed.channels]
     weighed = iter(weighing.weigh([variant for form in forms for variant in form], raw))
-    found = iter(
-        [_candidate(weighing, way, [next(weighed) for _ in form]) for way, form in zip(ways, forms, strict=True)]
-    )
-    return [_likeliest([next(found) for _ in own]) for own in each]
+    coarse = [[next(weighed) for _ in form] for form in forms]
+    found: list[Candidate | None] = [None] * len(ways)
+    reached = -np.inf
+    for number in _order(ways, coarse):
+        found[number] = one = _candidate(weighing, ways[number], coarse[number], reached)
+        if one.whole and on_output(ways[number]) is not None and _leave_only_noise(weighing, one.whole):
+            reached = max(reached, *(_evidence(weighing, form) for form, _ in one.whole))
+    made = iter([one for one in found if one is not None])
+    return [_likeliest([next(made) for _ in own]) for own in each]
+
+
+def _order(ways: Sequence[Effect], coarse: Sequence[Sequence[Weighed]]) -> list[int]:
+    """Returns the order in which effects are evaluated. Effects on the output are evaluated last, beginning with the most probable
+    effect, because the searches for their shapes depend on what the preceding effects explain. `coarse`: the forms of each effect
+    on its grid."""
+
+    def likely(number: int) -> float:
+        if on_output(ways[number]) is None:
+            return np.inf
+        return max((float(item.log_bayes.max()) for item in coarse[number] if item.can_be_seen), default=-np.inf)
+
+    return sorted(range(len(ways)), key=lambda number: -likely(number))
+
+
+def _leave_only_noise(weighing: Weighing, forms: Forms) -> bool:
+    """Returns True if the most probable of the `forms`, with the amplitude 1, leaves no more than noise."""
+    best, _ = max(forms, key=lambda one: one[1])
+    taken = [raw[:, 0] for raw in best.raw]
+    return _only_noise(weighing, weighing.nominal_values(taken), taken)
 
 
 def _groups(effect: Effect, observed: Observed) -> Iterator[Sequence[Variant]]:
@@ -92,7 +117,8 @@ def _likeliest(ways: Sequence[Candidate]) -> Candidate:
     return replace(best, log_bayes=log_mean_exp(np.array([way.log_bayes for way in shown]), 0))
 
 
-def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Candidate:
+def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed], reached: float) -> Candidate:
+    """Evaluates an effect from its forms on the grid (`weighed`). `reached`: the same as in `whole_forms`."""
     usable = [item for item in weighed if item.can_be_seen]
     if not usable:
         return Candidate(effect, tuple(weighed), np.full(len(weighing.base), -np.inf))
@@ -102,12 +128,12 @@ def _candidate(weighing: Weighing, effect: Effect, weighed: list[Weighed]) -> Ca
         short = weighing if on_output(effect) is None else weighing.condensed()[0]
         usable, log_bayes = _refined(short, effect, usable, short.observed)
         if float(log_bayes.max()) > BENT and is_whole(usable[0].variant.columns):
-            whole = _held(short, effect, usable)
+            whole = _held(short, effect, usable, reached)
             if not whole:
                 before = usable
                 usable, log_bayes = _resettled(short, effect, usable, log_bayes)
                 settled = usable is not before
-                whole = _held(short, effect, usable) if settled else ()
+                whole = _held(short, effect, usable, reached) if settled else ()
             if whole:
                 usable, settled = [form for form, _ in whole], True
                 log_bayes = _averaged(usable)
@@ -204,12 +230,15 @@ def _together(
     return settled(weighing, acting, float(best.variant.shape or 0.0), values, widths=widths)
 
 
-def _held(weighing: Weighing, effect: Shaped, usable: list[Weighed]) -> tuple[tuple[Weighed, float], ...]:
+def _held(
+    weighing: Weighing, effect: Shaped, usable: list[Weighed], reached: float
+) -> tuple[tuple[Weighed, float], ...]:
     """Evaluates a strong effect whose shape determines it completely. The amplitude is not fitted; it is 1 for physical reasons.
     For example, the time constant of a lag determines both the delay and the attenuation. The result is empty if the data require
-    the opposite sign, or if the effect is so weak that the data do not determine its amplitude."""
+    the opposite sign, or if the effect is so weak that the data do not determine its amplitude. `reached`: the same as in
+    `whole_forms`."""
     best = max(usable, key=lambda weighed: float(weighed.log_bayes[weighing.likeliest[0]]))
-    forms = whole_forms(weighing, effect) if best.amplitudes[0][0] > 0 else []
+    forms = whole_forms(weighing, effect, reached=reached) if best.amplitudes[0][0] > 0 else []
     if len(forms) < 3 or any(form.trace <= 0 for form, _ in forms):
         return ()
     return tuple(forms)
@@ -258,6 +287,9 @@ def _refined(weighing: Weighing, effect: Shaped, coarse: list[Weighed], seen: Ob
 _STEPS = 20
 _STEPS_BESIDE = 3  # number of steps with other effects, whose amplitudes are fitted again before the next steps
 _ROUNDS = 15
+_PATIENCE = 4  # number of steps without a larger evidence after which a search ends
+_FAR = 100.0  # nats; an effect that is less probable by more than this is not evaluated exactly
+_FURTHER = 10.0  # times the gain of the last step, the largest gain that the next steps may bring
 _SAME = 0.05  # standard deviations; two shapes that differ by less count as equal
 _DROP = 0.5  # nats below the best log evidence, which correspond to one standard deviation
 _TOLD = 1.0  # nats by which an effect must be more probable than no effect
@@ -276,14 +308,19 @@ def shape_alone(candidate: Candidate) -> Shaped | None:
 
 
 def whole_forms(
-    weighing: Weighing, effect: Shaped, near: Weighed | None = None, columns: Sequence[Column] = ()
+    weighing: Weighing,
+    effect: Shaped,
+    near: Weighed | None = None,
+    columns: Sequence[Column] = (),
+    reached: float = -np.inf,
 ) -> list[tuple[Weighed, float]]:
     """Returns the forms with the amplitude 1 around the most probable shape, in equal steps of the logarithm of the shape, and their
     probabilities. If the data require the opposite sign, no form explains the data better than no effect, and the result is empty.
     `near`: a form from which the search starts, None if no form is known. `columns`: columns, with samples, of other effects whose
-    amplitudes are not known exactly."""
+    amplitudes are not known exactly. `reached`: log evidence of another effect that leaves only noise, −∞ if there is none. If the
+    effect explains far less, the search for its shape ends early."""
     short, columns = (weighing, columns) if on_output(effect) is None else weighing.condensed(columns)
-    found = _found(short.without_walks(), effect, near, columns)
+    found = _found(short.without_walks(), effect, near, columns, reached)
     around = found.shape * np.exp(found.sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
     variants, raw = short.projected([replace(effect.at(found.seen, float(value)), fixed=(0,))] for value in around)
     forms = weighing.weigh(variants, raw)
@@ -307,39 +344,47 @@ class _Found:
     sigma: float
 
 
-def _found(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column]) -> _Found:
+def _found(
+    weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column], reached: float
+) -> _Found:
     """Searches for the most probable shape and fits the nominal parameters. If an effect acts on the output, a first search uses few
-    samples of each turn of the table (`Weighing.of_turns`). The exact search then begins at the result."""
+    samples of each turn of the table (`Weighing.of_turns`). The exact search then begins at the result. `reached`: the same as in
+    `whole_forms`."""
     few, of_few = (weighing, columns) if on_output(effect) is None else weighing.of_turns(columns)
-    found = _search(few, effect, near, of_few)
+    found = _search(few, effect, near, of_few, reached)
     if few is weighing:
         return found
     (best,) = weighing.weigh([effect.at(weighing.seen(found.values), found.shape)])
-    _, found = _alternated(weighing, effect, best, found.values, columns, _STEPS_BESIDE, _WIDTHS[-1:])
-    return found
+    steps = 1 if _evidence(weighing, best) < reached - _FAR else _STEPS_BESIDE
+    return _alternated(weighing, effect, best, found.values, columns, steps, widths=_WIDTHS[-1:])[1]
 
 
-def _search(weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column]) -> _Found:
+def _search(
+    weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column], reached: float
+) -> _Found:
     """Searches for the most probable shape and fits the nominal parameters. For an effect on the output, the shape and the nominal
     parameters are varied together. This search follows the parameters from one optimum. There may be several optima: for example,
     an output near a dead zone can lie inside or outside the dead zone. Therefore, smaller and larger shapes are also tried, each
     with the nominal parameters that fit best. A clearly better shape replaces the shape that was found first. If the first shape
-    leaves no more than noise, no other shape can explain clearly more, and none is tried."""
+    leaves no more than noise, no other shape can explain clearly more, and none is tried. No other shape is tried either if another
+    effect leaves only noise, and this effect explains far less (`reached`, as in `whole_forms`)."""
     best, values = (near, None) if near is not None else _start(weighing, effect)
     steps = _STEPS if near is None else _STEPS_BESIDE
-    evidence, found = _alternated(weighing, effect, best, values, columns, steps)
+    evidence, found = _alternated(weighing, effect, best, values, columns, steps, reached)
     acting = on_output(effect)
-    if acting is None or near is not None or _only_noise(weighing, acting, found.shape, found.values):
+    if acting is None or near is not None or evidence < reached - _FAR:
+        return found
+    made = coefficients_of(weighing.observed, weighing.spectrum, effect.at(found.seen, found.shape).columns)
+    if _only_noise(weighing, found.values, [raw.sum(axis=1) for raw in made]):
         return found
     value, other = _beside(weighing, acting, found.shape, found.values, columns)
     return other if value > evidence + _TOLD else found
 
 
-def _only_noise(weighing: Weighing, effect: Shaped, shape: float, values: Sequence[Array]) -> bool:
-    """Returns True if the coefficients minus the effect and the nominal outputs are not larger than noise. `values`: parameters (q,)
-    of each channel for `shape`."""
-    caused = coefficients_of(weighing.observed, weighing.spectrum, effect.at(weighing.seen(values), shape).columns)
-    rest = sum(weighing.misfits(values, [raw.sum(axis=1) for raw in caused]))
+def _only_noise(weighing: Weighing, values: Sequence[Array], taken: Sequence[Array]) -> bool:
+    """Returns True if the coefficients minus an effect and the nominal outputs are not larger than noise. `values`, `taken`: for each
+    channel, the values (q,) of the nominal parameters, and the coefficients (M,) that the effect causes."""
+    rest = sum(weighing.misfits(values, taken))
     fitted = sum(len(own) for own in values) + sum(one.shape[1] for one in weighing.angles)
     degrees = float(weighing.spectrum.values.size - fitted)
     return bool(rest <= degrees + _SCATTERED * np.sqrt(2 * degrees))
@@ -379,13 +424,16 @@ def _alternated(
     values: Sequence[Array] | None,
     columns: Sequence[Column],
     steps: int,
+    reached: float = -np.inf,
     widths: Sequence[float] = _WIDTHS,
 ) -> tuple[float, _Found]:
     """Searches for the shape and fits the nominal parameters, in turn. If the search alternates between shapes or does not
-    converge, the most probable of the visited shapes is used, with the nominal parameters that were fitted for it. Returns the
+    converge, the most probable of the visited shapes is used, with the nominal parameters that were fitted for it. The search also
+    ends if several steps do not increase the evidence, or if it stays far below `reached` (as in `whole_forms`). Returns the
     evidence and the shape. `widths`: the same as in `settled`."""
     shape, last, acting = float(best.variant.shape or 0.0), np.nan, on_output(effect)
     visited: list[tuple[float, _Found]] = []
+    course: list[float] = []  # largest evidence after each step
     for _ in range(steps):
         values = _together(weighing, effect, best, values, widths)
         seen, before, last = weighing.seen(values), last, shape
@@ -396,6 +444,11 @@ def _alternated(
         if abs(np.log(shape / last)) < _SAME * sigma:
             return visited[-1]
         visited = [max(visited, key=lambda one: one[0])]  # each contains the outputs of a nominal model
+        course.append(visited[0][0])
+        if len(course) > _PATIENCE and course[-1] < course[-1 - _PATIENCE] + _STILL:
+            break
+        if len(course) > 1 and course[-1] + _FURTHER * (course[-1] - course[-2]) < reached - _FAR:
+            break
         if abs(np.log(shape / before)) < _SAME * sigma:
             break
     return visited[0]
