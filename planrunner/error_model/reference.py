@@ -20,8 +20,8 @@ of this list, and states where to correct and what to do. In its output, the val
 parameters.
 
 Effects marked with † are used in simulations and estimates only. The diagnosis considers them only if you name them with `--given`. It
-also considers the effects of the supply voltage if the voltage varies in the recording, and the effects of the ambient pressure if the
-pressure varies.
+also considers the effects of the supply voltage if the voltage varies in the recording, the effects of the ambient pressure if the
+pressure varies, and `gyro_saturation_asymmetric` if many readings stand at a limit that other readings exceed in the other direction.
 """
 ACTORS = {
     Actor.BENCH: "the operator of the table, the chamber, the mounting and their synchronisation",

@@ -8,15 +8,21 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from planrunner.error_model.effects.gyro_output import GyroDeadZone, GyroSaturation, GyroSaturationAsymmetric
+from planrunner.error_model.effects.gyro_output import (
+    GyroDeadZone,
+    GyroSaturation,
+    GyroSaturationAsymmetric,
+    GyroSoftSaturation,
+)
 from planrunner.error_model.effects.interface import Variant
 from planrunner.error_model.effects.warming import GyroWarmUp
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import closure, measured_noise, predictions, whole_choices
 from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.evidence.spectrum import NODES
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import _evidence, operating_point, settled, whole_forms
-from planrunner.plan.schedule import Rest
+from planrunner.plan.schedule import Rest, Spin
 from tests.gap.test_closure import holds
 from tests.gap.turntable import DEG, record
 
@@ -78,9 +84,7 @@ def test_the_interval_includes_the_uncertainty_of_bias_and_scale_factor() -> Non
     assert held[False] < binom.ppf(0.01, tries, 0.9)
 
 
-def _limited(
-    seed: int, limit: float, sampling: float = SAMPLING, lower: float | None = None
-) -> tuple[Observed, Array]:
+def _limited(seed: int, limit: float, sampling: float = SAMPLING, lower: float | None = None) -> tuple[Observed, Array]:
     """A recording whose gyros are limited together with their noise, and the outputs (N, K) without noise and limit. `lower`: the magnitude
     of the limit in the negative direction, by default the same."""
     exact = record(seed=seed, sampling=sampling, clean=True)
@@ -155,8 +159,8 @@ def test_limits_that_differ_between_the_directions_are_named_with_their_values(u
 
 
 def test_a_limit_of_one_direction_is_a_hypothesis_only_if_readings_stand_at_it() -> None:
-    """Not in a recording without a limit, with counts that the noise dithers, or with the same limit in both directions. A few wild readings
-    hide no limit."""
+    """Not in a recording without a limit, with counts that the noise dithers, or with the same limit in both directions. A few
+    wild readings hide no limit."""
     effect = GyroSaturationAsymmetric()
     assert not effect.shown_in(record(seed=3, sampling=SAMPLING))
     assert not effect.shown_in(_limited(5, 60 * DEG)[0])
@@ -220,6 +224,27 @@ def test_segments_with_a_constant_output_are_evaluated_with_one_sample() -> None
         (exact,), (found,) = (one.weigh([effect.at(one.seen(values), value)]) for one in (weighing, short))
         for before, after in zip(exact.raw, found.raw, strict=True):
             np.testing.assert_allclose(after, before, rtol=1e-9, atol=1e-9 * np.abs(before).max())
+
+
+def test_few_samples_of_a_turn_give_the_coefficients_of_effects_on_the_output() -> None:
+    """Exactly for an effect without an edge. The outputs of a limit and of a dead zone pass an edge in some segments: the deviation is at
+    most a fifth of the noise of a coefficient, which is that of a sample."""
+    weighing = Weighing(_limited(5, 60 * DEG, 20.0)[0])
+    few, _ = weighing.of_turns()
+    spins = np.array([isinstance(motion, Spin) for motion in weighing.observed.motions])
+    np.testing.assert_array_equal(np.diff(few.observed.bounds)[~spins], 400)
+    assert set(np.diff(few.observed.bounds)[spins]) <= {NODES - 1, NODES}
+    values = [own * 1.01 for own in weighing.nominal_values()]
+    for effect, shape, least in (
+        (GyroSoftSaturation(), 100.0, 1e-9),
+        (GyroSaturation(), 60.0, 0.2),
+        (GyroDeadZone(), 0.05, 0.2),
+    ):
+        (exact,), (found,) = (one.weigh([effect.at(one.seen(values), shape)]) for one in (weighing, few))
+        for before, after, white in zip(exact.raw, found.raw, weighing.white, strict=True):
+            np.testing.assert_allclose(after, before, rtol=0, atol=max(least * white, 1e-9 * np.abs(before).max()))
+    slow = GyroWarmUp().at(weighing.observed, 1e4).columns
+    assert weighing.of_turns(slow)[0] is weighing
 
 
 def test_the_search_for_a_limit_does_not_use_all_samples(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -37,7 +37,7 @@ UPPER = 0.999 / 8  # fraction of the sampling rate above which the bands define 
 RESPONSE = -1
 """Marks the coefficients of the response to a recorded motion. This value is used instead of the order of a harmonic."""
 NODES = 49  # number of samples that represent a turn of the table
-_SMOOTH = 1e-9  # fraction of a signal by which a trigonometric polynomial may miss it
+_SMOOTH = 1e-5  # fraction of the largest value of a signal by which a trigonometric polynomial may miss the signal
 _DEPENDENT = 0.05  # smallest fraction of its norm that a harmonic must keep after the lower orders are removed
 
 
@@ -126,6 +126,7 @@ class Spectrum:
         less than a turn, or if one of the `signals`, arrays of shape (N,), is not such a polynomial. Like `of_constant`, the copy
         is only for `project`."""
         bases, kept = list(self.bases), np.ones(len(observed.time), dtype=bool)
+        largest = np.array([np.abs(signal).max() for signal in signals])
         for index, (motion, part) in enumerate(zip(observed.motions, observed.segments(), strict=True)):
             angle = observed.angle[part]
             if not isinstance(motion, Spin) or len(angle) <= 2 * NODES or np.ptp(angle) < 2 * np.pi * (1 - 1 / NODES):
@@ -135,7 +136,7 @@ class Spectrum:
             through = np.linalg.pinv(waves[at])
             own = np.column_stack([signal[part] for signal in signals])
             missed = np.abs(own - waves @ (through @ own[at])).max(axis=0)
-            if (missed > _SMOOTH * np.abs(own).max(axis=0)).any():
+            if (missed > _SMOOTH * largest).any():
                 continue
             bases[index] = replace(bases[index], vectors=((bases[index].vectors.T @ waves) @ through).T)
             kept[part] = False
