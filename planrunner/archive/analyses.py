@@ -63,10 +63,10 @@ class StoredAnalysis:
         """Returns the data from which the analysis was made."""
         return Basis(self.digests["journal"]["events"], self.digests["journal"]["head"], self.digests["seal"])
 
-    def read(self, name: str, limit: int = MOST_RESULTS) -> bytes:
+    def read(self, name: str) -> bytes:
         """Reads a file of the analysis and checks its digest. Raises `IntegrityError` if the file is missing or was changed."""
         try:
-            data = self._folder().read(name, limit)
+            data = self._folder().read(name, MOST_RESULTS)
         except OSError as error:
             raise _unreadable(self.path / name, error) from None
         if digest(data) != self.digests["files"].get(name):

@@ -18,6 +18,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.workers import ALONE, Workers, results_in_order
 
 _STARTS = 20  # number of random choices from which the exchange starts
+_MOST_STEPS = 20_000  # of the multiplicative search for shares
 
 
 def loss(matrix: Array, criterion: str) -> float:
@@ -36,19 +37,18 @@ def choose(
     count: int,
     criterion: str = "D",
     kept: Sequence[int] = (),
-    seed: int = 0,
     workers: Workers = ALONE,
 ) -> tuple[int, ...]:
     """Returns the best `count` different bundles of `bundles` (N, p, p), as ascending indices (count,), found by exchange from
     seeded starts. The bundles in `kept` are always included. `fixed`: array of shape (p, p), information that does not depend on
-    the choice. `workers`: processes that share the starts; the result for a seed does not depend on the number of workers.
+    the choice. `workers`: processes that share the starts; the result does not depend on the number of workers.
 
     Raises ValueError if there are fewer bundles than requested, if more bundles are kept than requested, or if no choice determines
     all terms.
     """
     if count > len(bundles) or len(kept) > count:
         raise ValueError(f"{count} different choices are not possible from {len(bundles)}")
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     others = np.setdiff1d(np.arange(len(bundles)), kept)
     best, least = None, math.inf
     starts = [random.choice(others, count - len(kept), replace=False) for _ in range(_STARTS)]
@@ -79,9 +79,7 @@ def _settle(bundles: Array, fixed: Array, others: Array, criterion: str, start: 
     return chosen, loss(fixed + bundles[chosen].sum(axis=0), criterion)
 
 
-def shares(
-    bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6, most_steps: int = 20_000
-) -> tuple[Array, float]:
+def shares(bundles: Array, fixed: Array, criterion: str = "D", tolerance: float = 1e-6) -> tuple[Array, float]:
     """Computes the fractions of a resource, such as the time, that N bundles should get. Returns the fractions, shape (N,), which
     add up to 1, and the remaining excess. `bundles`: array of shape (N, p, p), the information of each bundle if it gets the whole
     resource. The excess is the ratio of the largest derivative of the criterion to the mean derivative, minus 1. The excess is 0 at
@@ -95,7 +93,7 @@ def shares(
     if not math.isfinite(loss(fixed + np.tensordot(part, bundles, 1), criterion)):
         raise ValueError("the candidates cannot separate all terms")
     excess = math.inf
-    for _ in range(most_steps):
+    for _ in range(_MOST_STEPS):
         inverse = np.linalg.inv(fixed + np.tensordot(part, bundles, 1))
         middle = inverse if criterion == "D" else inverse @ inverse
         gain = np.einsum("ij,nji->n", middle, bundles)

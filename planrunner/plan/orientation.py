@@ -51,10 +51,10 @@ def _array(matrix: tuple[tuple[float, ...], ...]) -> Matrix:
 UNKNOWN = Orientation("unknown", None)
 
 
-def in_words(attitude: Matrix, tolerance: float = 1e-9) -> str:
+def in_words(attitude: Matrix) -> str:
     """Writes the orientation in words, such as `x up, y north, z west`. If there is no word for the direction of an axis, the
     direction is given as numbers."""
-    return ", ".join(f"{axis} {_pointing(row, tolerance)}" for axis, row in zip(AXES, attitude, strict=True))
+    return ", ".join(f"{axis} {_pointing(row)}" for axis, row in zip(AXES, attitude, strict=True))
 
 
 def as_mapping(attitude: Matrix) -> str | None:
@@ -68,8 +68,8 @@ def as_mapping(attitude: Matrix) -> str | None:
     )
 
 
-def _pointing(row: Matrix | Direction, tolerance: float = 1e-9) -> str:
-    return word_of(row, tolerance) or f"({row[0]:+.3f} E, {row[1]:+.3f} N, {row[2]:+.3f} U)"
+def _pointing(row: Matrix | Direction) -> str:
+    return word_of(row) or f"({row[0]:+.3f} E, {row[1]:+.3f} N, {row[2]:+.3f} U)"
 
 
 def rotation(axis: int, angle: float) -> Matrix:

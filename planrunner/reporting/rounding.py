@@ -32,8 +32,8 @@ class Rounded:
         return f"({text})e{self.exponent:+03d}" if self.uncertainty else f"{text}e{self.exponent:+03d}"
 
 
-def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Rounded:
-    """Rounds the uncertainty to `digits` significant digits, and the value to the same decimal place. Ties are rounded to even.
+def rounded(value: float, standard_uncertainty: float) -> Rounded:
+    """Rounds the uncertainty to two significant digits, and the value to the same decimal place. Ties are rounded to even.
 
     If the uncertainty is zero, the value has seven significant digits. A non-finite value is written as such.
     """
@@ -42,8 +42,8 @@ def rounded(value: float, standard_uncertainty: float, digits: int = 2) -> Round
     if not math.isfinite(standard_uncertainty) or standard_uncertainty <= 0:
         exponent, text = _split(value, 7)
         return Rounded(text, "" if standard_uncertainty == 0 else _word(standard_uncertainty), exponent)
-    spread = _significant(_decimal(standard_uncertainty), digits)
-    last = spread.adjusted() - digits + 1
+    spread = _significant(_decimal(standard_uncertainty), 2)
+    last = spread.adjusted() - 1
     number = _quantized(_decimal(value), last)
     leading = max(spread.adjusted(), number.adjusted() if number else spread.adjusted())
     exponent = 0 if _PLAIN_FROM <= leading < _PLAIN_TO else leading

@@ -32,9 +32,7 @@ from planrunner.tasks.check import Checked, Document, check_plan
 from planrunner.tasks.estimate import stored_results
 
 
-def compare(
-    before: Path, after: Path, bench: str | None = None, *, foresee: bool = True, today: date | None = None
-) -> Compared:
+def compare(before: Path, after: Path, bench: str | None = None, *, foresee: bool = True) -> Compared:
     """Compares two plans, two benches or two run folders, and returns the difference. A bench may also be given by the name of a
     shipped bench.
 
@@ -54,7 +52,7 @@ def compare(
         found = difference(*meanings)
         return Compared("bench", names, (meanings[0], meanings[1]), found)
     given = [Document(source.read_bytes(path), str(path)) for path in (before, after)]
-    return compare_plans(given[0], given[1], bench, foresee=foresee, today=today)
+    return compare_plans(given[0], given[1], bench, foresee=foresee)
 
 
 def compare_plans(

@@ -13,7 +13,6 @@ from planrunner.archive.formats import to_bytes
 from planrunner.archive.provenance import computed_with
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import Json, JsonObject
-from planrunner.base.progress import Announce
 from planrunner.base.workers import ALONE, Workers
 from planrunner.estimators.results import Results, comparable
 from planrunner.tasks.estimate import computed_by, recompute, stored_results
@@ -53,7 +52,7 @@ class Proof:
         }
 
 
-def prove(run: Path, number: int | None = None, notice: Announce | None = None, workers: Workers = ALONE) -> Proof:
+def prove(run: Path, number: int | None = None, workers: Workers = ALONE) -> Proof:
     """Recomputes an analysis of a run with the settings of the analysis, and writes nothing. `number`: number of the analysis; by
     default, the newest. `workers`: processes that share the Monte Carlo draws.
 
@@ -62,7 +61,7 @@ def prove(run: Path, number: int | None = None, notice: Announce | None = None, 
     reader = RunReader.open(run)
     analysis = chosen_analysis(run, reader.analyses, number)
     stored, text, then = stored_results(analysis), *computed_by(analysis)
-    results = recompute(reader, analysis, notice, workers)
+    results = recompute(reader, analysis, workers=workers)
     now = computed_with()
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
     if to_bytes(comparable(text)) == to_bytes(comparable(results.to_json())):
