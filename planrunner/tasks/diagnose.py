@@ -352,8 +352,7 @@ def corrected_observation(
     """Does the same as `observe`, but also returns the wrong declarations that were corrected. Raises `InputError` with all
     obstacles to a diagnosis."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
-    from planrunner.gap.hypotheses.declarations import corrected
-    from planrunner.gap.hypotheses.delays import in_step
+    from planrunner.gap.hypotheses.declarations import corrected, in_step
     from planrunner.observation.refusals import ObservationError
     from planrunner.observation.samples import observed, poses, unknown_orientations
 

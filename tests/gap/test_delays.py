@@ -14,7 +14,7 @@ import pytest
 from planrunner.base.arrays import Array
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import DiagnosisOptions
-from planrunner.gap.hypotheses.delays import _of_segment, in_step
+from planrunner.gap.hypotheses.declarations import _of_segment, in_step
 from planrunner.tasks.diagnose import corrected_observation, diagnose_recorded, recorded_file
 from planrunner.tasks.named_effects import plan_with_estimate
 from tests.gap.test_declarations import to_and_fro
