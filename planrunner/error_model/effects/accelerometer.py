@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planrunner.error_model.effects.interface import About, Actor, Variant, per_axis, products, single
+from planrunner.error_model.effects.interface import About, Actor, Variant, WithoutColumns, per_axis, products, single
 from planrunner.error_model.effects.nominal import towards_others
 from planrunner.error_model.observed import Observed
 from planrunner.plan.units import STANDARD_GRAVITY as G
@@ -182,10 +182,10 @@ class AccelThermalHysteresis:
         return single(per_axis(observed, "accel", "h", "mg", 1e-3 * G, 1e-3 * G, sign))
 
 
-class AccelNoiseExcess:
+class AccelNoiseExcess(WithoutColumns):
     """Raises the white noise density of the accelerometers above the declared density."""
 
-    id, stage, outside, of_accelerometers = "accel_noise_excess", "covariance", "white", True
+    id, outside, of_accelerometers = "accel_noise_excess", "white", True
     about = About(
         "accelerometer noise is larger than declared",
         "The white noise of the accelerometers is stronger than the bench file declares.",
@@ -193,20 +193,14 @@ class AccelNoiseExcess:
         "Correct the noise in the bench file, or look for vibration and electrical interference: {found}.",
     )
 
-    def variants(self, observed: Observed) -> list[Variant]:
-        return []
 
-
-class AccelQuantization:
+class AccelQuantization(WithoutColumns):
     """Makes the resolution of the accelerometers coarser than declared: every output value is a multiple of a larger count."""
 
-    id, stage, outside, of_accelerometers = "accel_quantization", "covariance", "resolution", True
+    id, outside, of_accelerometers = "accel_quantization", "resolution", True
     about = About(
         "accelerometer counts are coarser than declared",
         "The output of the accelerometers is rounded to multiples of a count that is larger than the bench file declares.",
         Actor.BOOKKEEPING,
         "Correct the resolution in the bench file, or set a finer resolution in the sensor: {found}.",
     )
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        return []

@@ -9,7 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.interface import About, Actor, Column, Shaped, Variant, on_rate, single, whole
+from planrunner.error_model.effects.interface import (
+    About,
+    Actor,
+    Column,
+    Shaped,
+    Variant,
+    WithoutColumns,
+    on_rate,
+    single,
+    whole,
+)
 from planrunner.error_model.observed import Observed
 
 DEG = np.pi / 180
@@ -338,10 +348,10 @@ def _changed(
     return Variant((whole(parts, acting),), shape)
 
 
-class GyroNoiseExcess:
+class GyroNoiseExcess(WithoutColumns):
     """Raises the white noise density of the gyros above the declared density."""
 
-    id, stage, outside = "gyro_noise_excess", "covariance", "white"
+    id, outside = "gyro_noise_excess", "white"
     about = About(
         "gyro noise is larger than declared",
         "The white noise of the gyros is stronger than the bench file declares.",
@@ -349,20 +359,14 @@ class GyroNoiseExcess:
         "Correct the noise in the bench file, or look for vibration and electrical interference: {found}.",
     )
 
-    def variants(self, observed: Observed) -> list[Variant]:
-        return []
 
-
-class GyroQuantization:
+class GyroQuantization(WithoutColumns):
     """Makes the resolution of the gyros coarser than declared: every output is a multiple of a larger count."""
 
-    id, stage, outside = "gyro_quantization", "covariance", "resolution"
+    id, outside = "gyro_quantization", "resolution"
     about = About(
         "gyro counts are coarser than declared",
         "The output of the gyros is rounded to multiples of a count that is larger than the bench file declares.",
         Actor.BOOKKEEPING,
         "Correct the resolution in the bench file, or set a finer resolution in the sensor: {found}.",
     )
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        return []

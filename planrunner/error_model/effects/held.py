@@ -5,23 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.interface import About, Actor, Variant
-from planrunner.error_model.observed import Observed
+from planrunner.error_model.effects.interface import About, Actor, WithoutColumns
 
 
-class SamplesStuck:
+class SamplesStuck(WithoutColumns):
     """From a given time since power-on, the outputs keep the value of one sample, including its noise, for some time."""
 
-    id, stage, outside, shape_name, shape_unit = "samples_stuck", "covariance", "stuck", "time", "s"
+    id, outside, shape_name, shape_unit = "samples_stuck", "stuck", "time", "s"
     about = About(
         "samples repeat the last value",
         "For some time the outputs keep the value of one sample, because the sensor or the logger gives no new sample.",
         Actor.BENCH,
         "Look for lost messages, an overloaded logger or a converter that stopped at this time, and leave these samples out: {found}.",
     )
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        return []
 
 
 def sticking(time: Array, values: Array, begin: float, lasting: float, before: float) -> Array:

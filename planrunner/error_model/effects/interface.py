@@ -253,6 +253,15 @@ class OutsideCoefficients(Effect, Protocol):
     outside: OutsideKind
 
 
+class WithoutColumns:
+    """Base of the effects that change only the noise, or let samples repeat earlier values."""
+
+    stage = "covariance"
+
+    def variants(self, observed: Observed) -> list[Variant]:
+        return []
+
+
 @runtime_checkable
 class OfAccelerometers(OutsideCoefficients, Protocol):
     """An effect of the kind `OutsideCoefficients` that acts on accelerometers. An effect of this kind without the attribute

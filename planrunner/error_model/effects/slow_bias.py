@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from planrunner.error_model.effects.interface import About, Actor, Variant
-from planrunner.error_model.observed import Observed
+from planrunner.error_model.effects.interface import About, Actor, WithoutColumns
 
 
-class GyroBiasRandomWalk:
+class GyroBiasRandomWalk(WithoutColumns):
     """Adds a random walk to the bias, beyond the declared noise, with the covariance q²·min(t, t') between the times t and t',
     where q is the rate random walk coefficient."""
 
-    id, stage, outside = "gyro_bias_random_walk", "covariance", "random walk"
+    id, outside = "gyro_bias_random_walk", "random walk"
     about = About(
         "gyro bias wanders",
         "The bias of each gyro changes at random, and the changes add up over time.",
@@ -18,21 +17,12 @@ class GyroBiasRandomWalk:
         "Repeat readings at rest more often, and let the sensor stabilise for longer before the run: {found}.",
     )
 
-    def variants(self, observed: Observed) -> list[Variant]:
-        return []
 
-
-class AccelBiasRandomWalk:
+class AccelBiasRandomWalk(WithoutColumns):
     """Adds a random walk to the bias of each accelerometer, with the covariance q²·min(t, t') between the times t and t', where q
     is the coefficient of the random walk."""
 
-    id, stage, outside, of_accelerometers, hypothesis = (
-        "accel_bias_random_walk",
-        "covariance",
-        "random walk",
-        True,
-        False,
-    )
+    id, outside, of_accelerometers, hypothesis = "accel_bias_random_walk", "random walk", True, False
     about = About(
         "accelerometer bias wanders",
         "The bias of each accelerometer changes at random, and the changes add up over time.",
@@ -40,18 +30,12 @@ class AccelBiasRandomWalk:
         "Repeat readings at rest more often, and let the sensor stabilise for longer before the run: {found}.",
     )
 
-    def variants(self, observed: Observed) -> list[Variant]:
-        return []
 
-
-class _GaussMarkov:
+class _GaussMarkov(WithoutColumns):
     """Adds a random process b to the bias of each axis, with the standard deviation σ, the correlation time τ, and the covariance
     σ²·exp(−|t − t'|/τ) between the times t and t' (IEEE Std 952, annex C, exponentially correlated noise)."""
 
-    stage, outside, hypothesis, shape_name, shape_unit = "covariance", "gauss-markov", False, "tau", "s"
-
-    def variants(self, observed: Observed) -> list[Variant]:
-        return []
+    outside, hypothesis, shape_name, shape_unit = "gauss-markov", False, "tau", "s"
 
 
 def _about(triad: str) -> About:
