@@ -68,7 +68,7 @@ def data_root() -> Path:
 def pictures_are_drawn_once() -> Iterator[None]:
     """Many tests report the same run, and the same data give the same picture: a report that shows it again in this process takes it
     from the first. Tests of the drawing itself call what draws."""
-    from planrunner.reporting import diagnosis_pictures
+    from planrunner.reporting import diagnosis_page
     from planrunner.reporting.view import Picture
 
     drawn: dict[bytes, str] = {}
@@ -86,7 +86,7 @@ def pictures_are_drawn_once() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Picture, "__html__", shown)
         for name in ("heat_svg", "posterior_svg", "confusability_svg", "plot_svg"):
-            patch.setattr(diagnosis_pictures, name, partial(once, getattr(diagnosis_pictures, name)))
+            patch.setattr(diagnosis_page, name, partial(once, getattr(diagnosis_page, name)))
         yield
 
 

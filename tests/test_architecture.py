@@ -379,7 +379,7 @@ PROBES = {
     ("base/guarded_folder.py", "st_file_attributes"): "a field that only Windows has",
     ("base/trusted_folders.py", "st_file_attributes"): "a field that only Windows has",
     ("instruments/wire/serial_stream.py", "set_buffer_size"): "a method that only Windows' ports have",
-    ("reporting/template_data.py", "__html__"): "the convention by which text is marked as HTML",
+    ("reporting/templates.py", "__html__"): "the convention by which text is marked as HTML",
 }
 """Attributes whose presence is asked for by name, and why no type can promise them."""
 

@@ -19,7 +19,7 @@ from planrunner.reporting.budgets import freedom, shown_unit, two_digits
 from planrunner.reporting.certificate_names import of_estimator
 from planrunner.reporting.context import CertificateFacts, ReportContext
 from planrunner.reporting.rounding import format_pair
-from planrunner.reporting.template_data import Told
+from planrunner.reporting.templates import Told
 from planrunner.uncertainty.decision import coverage_factor
 
 

@@ -20,7 +20,7 @@ from types import FrameType
 
 from planrunner.base.documents import JsonObject
 from planrunner.reporting.sandbox import ReportError, lay_out
-from planrunner.reporting.template_data import from_json
+from planrunner.reporting.templates import from_json
 
 CHECK_EVERY = 0.2  # s
 

@@ -1,5 +1,5 @@
 """Makes pages from templates. Shipped templates are rendered in this process; templates of users are rendered in a child process
-with limits on time and memory.
+with limits on time and memory. For the child process, the data are converted to JSON and back.
 
 Templates of both kinds are rendered in the sandbox. Shipped templates are part of the program and are tested with it. Even within
 the sandbox, a user's template may loop for ever or fill the memory, and this must not make a long run fail. Therefore, a child
@@ -14,9 +14,9 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from planrunner.base.documents import Json
+from planrunner.base.documents import Json, JsonObject
+from planrunner.base.said import Said
 from planrunner.reporting.sandbox import MAX_OUTPUT, ReportError, lay_out
-from planrunner.reporting.template_data import to_json
 
 MAX_SECONDS = 30.0
 """Maximum computing time of a user's template, s."""
@@ -67,3 +67,51 @@ def _lay_out_apart(name: str, given: Mapping[str, Json], folder: Path) -> str:
 
 
 _LOOK = "check its loops"
+
+
+class Told(dict[str, str]):
+    """Run information by name; a missing item is an empty text."""
+
+    def __missing__(self, name: str) -> str:
+        return ""
+
+
+# All JSON objects have this form, so that no name or value in the data can imitate one.
+_PAIRS, _TOLD, _HTML, _SAID = "pairs", "told", "html", "said"
+
+
+def to_json(given: Mapping[str, Json]) -> str:
+    """Converts the data to JSON text, after drawing every picture. Raises TypeError for an object that is not plain data."""
+    return json.dumps(_plain(given), ensure_ascii=True)
+
+
+def from_json(text: str) -> JsonObject:
+    """Reads the data for a template from JSON text. Pictures become markup that is not escaped."""
+    given: JsonObject = json.loads(text, object_hook=_restored)
+    return given
+
+
+def _plain(value: Json) -> Json:
+    if hasattr(value, "__html__"):
+        return {_HTML: value.__html__()}
+    if isinstance(value, Said):
+        return {_SAID: json.dumps(value.to_json())}
+    if isinstance(value, Mapping):
+        pairs = [[_plain(name), _plain(item)] for name, item in value.items()]
+        return {_TOLD if isinstance(value, Told) else _PAIRS: pairs}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if value is None or isinstance(value, str | int | float):
+        return value
+    raise TypeError(f"{type(value).__name__} is not plain data")
+
+
+def _restored(found: JsonObject) -> Json:
+    from markupsafe import Markup
+
+    ((kind, value),) = found.items()
+    if kind == _HTML:
+        return Markup(value)
+    if kind == _SAID:
+        return Said.from_json(json.loads(value))
+    return Told(value) if kind == _TOLD else dict(value)

@@ -37,8 +37,7 @@ from planrunner.review.approvals import (
     read_stated,
 )
 from planrunner.review.meaning import Meaning
-from planrunner.signing.envelope import Envelope
-from planrunner.signing.statement import MOST_BYTES
+from planrunner.signing.envelope import MOST_BYTES, Envelope
 
 ENDING = ".approvals"
 _ENVELOPE, _PLAN = ".dsse.json", ".yaml"

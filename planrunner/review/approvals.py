@@ -23,10 +23,19 @@ from planrunner.archive.formats import from_bytes
 from planrunner.archive.verifying import CLOCKS_DIFFER
 from planrunner.base.documents import Json, JsonObject
 from planrunner.bench.signatures import ApprovalRule
-from planrunner.signing.envelope import Envelope, EnvelopeError, parse_envelope, seal_envelope
+from planrunner.signing.envelope import (
+    PAYLOAD,
+    STATEMENT,
+    Envelope,
+    EnvelopeError,
+    parse_envelope,
+    payload_of,
+    printable_line,
+    read_statement,
+    seal_envelope,
+)
 from planrunner.signing.key_ring import KeyRing, KnownKey
 from planrunner.signing.keys import Signer
-from planrunner.signing.statement import PAYLOAD, STATEMENT, payload_of, printable_line, read_statement
 
 APPROVAL = "urn:planrunner:approval:v1"
 WITHDRAWAL = "urn:planrunner:approval-withdrawal:v1"

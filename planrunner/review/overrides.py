@@ -15,10 +15,19 @@ from planrunner import __version__
 from planrunner.archive.formats import to_bytes
 from planrunner.archive.verifying import CLOCKS_DIFFER
 from planrunner.base.documents import JsonObject
-from planrunner.signing.envelope import Envelope, EnvelopeError, parse_envelope, seal_envelope
+from planrunner.signing.envelope import (
+    PAYLOAD,
+    STATEMENT,
+    Envelope,
+    EnvelopeError,
+    parse_envelope,
+    payload_of,
+    printable_line,
+    read_statement,
+    seal_envelope,
+)
 from planrunner.signing.key_ring import KeyRing
 from planrunner.signing.keys import Signer
-from planrunner.signing.statement import PAYLOAD, STATEMENT, payload_of, printable_line, read_statement
 
 OVERRIDE = "urn:planrunner:check-standard-override:v1"
 

@@ -38,10 +38,20 @@ from planrunner.archive.verifying import (
 from planrunner.base.documents import JsonObject
 from planrunner.base.guarded_folder import GuardedFolder
 from planrunner.signing.declared import declared
-from planrunner.signing.envelope import Envelope, EnvelopeError, parse_envelope, seal_envelope
+from planrunner.signing.envelope import (
+    MOST_BYTES,
+    PAYLOAD,
+    STATEMENT,
+    Envelope,
+    EnvelopeError,
+    parse_envelope,
+    payload_of,
+    read_statement,
+    require_line,
+    seal_envelope,
+)
 from planrunner.signing.key_ring import KeyRing, KnownKey
 from planrunner.signing.keys import PublicKey, Signer, parse_public
-from planrunner.signing.statement import MOST_BYTES, PAYLOAD, STATEMENT, payload_of, read_statement, require_line
 
 PREDICATE = "https://in-toto.io/attestation/test-result/v0.1"
 

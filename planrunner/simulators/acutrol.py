@@ -11,9 +11,9 @@ import math
 import re
 from dataclasses import dataclass, field
 
-from planrunner.simulators.conversation import NotUnderstoodError, first_with, number, shown
 from planrunner.simulators.interface import Conversation
 from planrunner.simulators.live_world import LiveWorld
+from planrunner.simulators.message_port import NotUnderstoodError, first_with, number, shown
 from planrunner.simulators.table_plant import TablePlant
 
 MODES = ("off", "position", "rate", "arate", "synthesis", "track", "abort")

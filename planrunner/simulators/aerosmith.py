@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 import re
 
-from planrunner.simulators.conversation import NotUnderstoodError, number, shown
 from planrunner.simulators.interface import Conversation
 from planrunner.simulators.live_world import LiveWorld
-from planrunner.simulators.message_port import Manner
+from planrunner.simulators.message_port import Manner, NotUnderstoodError, number, shown
 from planrunner.simulators.table_plant import TablePlant
 
 _COMMAND = re.compile(r"([A-Za-z]{3})\s*(\S*)")

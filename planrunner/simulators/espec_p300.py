@@ -9,10 +9,9 @@ from typing import Protocol
 
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import ChamberPlant
-from planrunner.simulators.conversation import NotUnderstoodError, number
 from planrunner.simulators.interface import Conversation
 from planrunner.simulators.live_world import LiveWorld
-from planrunner.simulators.message_port import Manner
+from planrunner.simulators.message_port import Manner, NotUnderstoodError, number
 
 _ADDRESSED = re.compile(r"(\d+),(.*)", re.DOTALL)
 _MARGIN = 20.0  # K beyond the chamber's range that its limits may lie

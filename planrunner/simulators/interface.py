@@ -15,9 +15,8 @@ from typing import Protocol
 
 from planrunner.plan.kinds import Record
 from planrunner.simulators.chamber_plant import ChamberPlant
-from planrunner.simulators.conversation import Controller
 from planrunner.simulators.live_world import LiveWorld, SensorFeed
-from planrunner.simulators.message_port import Manner
+from planrunner.simulators.message_port import Controller, Manner
 from planrunner.simulators.sensor_units import SensorUnit
 from planrunner.simulators.table_plant import TablePlant
 

@@ -1,5 +1,6 @@
-"""Connects a message-based instrument to a port. Divides received bytes into messages at their terminators, adds terminators and
-framing to replies, and applies faults."""
+"""Contains the parts that simulated message-based instruments share: the exchange of messages with replies and delayed replies, and
+the connection to a port. The port divides received bytes into messages at their terminators, adds terminators and framing to
+replies, and applies faults."""
 
 from __future__ import annotations
 
@@ -8,8 +9,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
-from planrunner.simulators.conversation import Controller
 from planrunner.simulators.faults import FaultBoard
 from planrunner.simulators.ports import PortError, PseudoTerminal
 
@@ -169,3 +170,44 @@ class TerminalMessages:
         """Disconnects and connects again, like a cable that is unplugged and plugged in again."""
         self.terminal.unplug()
         self.terminal.plug()
+
+
+class NotUnderstoodError(ValueError):
+    """Reports a message that the instrument does not understand, or a value that it refuses."""
+
+
+class Controller(Protocol):
+    identity: str
+    """Reply to an identity query."""
+
+    def answer(self, message: str) -> str | None:
+        """Returns the reply to a message, both without terminators; None if there is no reply."""
+
+    def later(self) -> list[str]:
+        """Returns delayed replies that have become due since the last call; empty for instruments that reply at once."""
+
+    def watch(self) -> None:
+        """Checks the limits of the instrument. The method is called many times per second."""
+
+
+def first_with(word: str, options: tuple[str, ...]) -> str:
+    """Returns the first option that begins with `word`; upper and lower case count as equal. Raises `NotUnderstoodError` if there
+    is none."""
+    found = next((option for option in options if word and option.startswith(word.lower())), None)
+    if found is None:
+        raise NotUnderstoodError(word)
+    return found
+
+
+def number(word: str) -> float:
+    """Converts a word of a message to a number. Raises `NotUnderstoodError` if the text is not a number."""
+    try:
+        return float(word)
+    except ValueError:
+        raise NotUnderstoodError(word) from None
+
+
+def shown(value: float, digits: int = 6) -> str:
+    """Writes a number as instruments do, without trailing zeros, and with a zero that has no sign."""
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text

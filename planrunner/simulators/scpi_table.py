@@ -6,9 +6,9 @@ from __future__ import annotations
 import math
 import re
 
-from planrunner.simulators.conversation import NotUnderstoodError, number, shown
 from planrunner.simulators.interface import Conversation
 from planrunner.simulators.live_world import LiveWorld
+from planrunner.simulators.message_port import NotUnderstoodError, number, shown
 from planrunner.simulators.table_plant import TablePlant
 
 _AXIS = re.compile(r"AXIS(\d+):(POS|RATE|STOP|DRIVE|LIM:RATE|LIM:ACC)(\?)?\s*(\S*)", re.IGNORECASE)

@@ -7,10 +7,9 @@ import re
 
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import ChamberPlant
-from planrunner.simulators.conversation import NotUnderstoodError, number
 from planrunner.simulators.interface import Conversation
 from planrunner.simulators.live_world import LiveWorld
-from planrunner.simulators.message_port import Manner
+from planrunner.simulators.message_port import Manner, NotUnderstoodError, number
 
 DONE, UNKNOWN, INCORRECT, OUT_OF_RANGE = "0", "1", "2", "5"
 _RUNNING, _STOPPED_REMOTELY, _ALARM = 1, 5, 7

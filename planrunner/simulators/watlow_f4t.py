@@ -7,9 +7,9 @@ import re
 
 from planrunner.plan.units import ZERO_CELSIUS
 from planrunner.simulators.chamber_plant import FULL_RAMP, ChamberPlant
-from planrunner.simulators.conversation import NotUnderstoodError, number
 from planrunner.simulators.interface import Conversation
 from planrunner.simulators.live_world import LiveWorld
+from planrunner.simulators.message_port import NotUnderstoodError, number
 
 _LOOP = re.compile(r":?(?:SOURCE|SOUR):CLOOP1:(\w+)(\?)?\s*(\S*)", re.IGNORECASE)
 _OUTPUT = re.compile(r":?OUTPUT1:STATE(\?)?\s*(\S*)", re.IGNORECASE)

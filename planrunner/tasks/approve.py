@@ -34,9 +34,9 @@ from planrunner.review.approvals import (
 )
 from planrunner.review.compared import Compared
 from planrunner.review.meaning import equipment_of, procedure_of
+from planrunner.signing.envelope import require_line
 from planrunner.signing.key_ring import KeyRing
 from planrunner.signing.keys import Signer
-from planrunner.signing.statement import require_line
 from planrunner.tasks.approvals import ring_of
 from planrunner.tasks.check import Document, Sound, check_plan
 from planrunner.tasks.diff import compare_plans

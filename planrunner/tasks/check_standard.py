@@ -31,8 +31,8 @@ from planrunner.review.overrides import (
     override_envelope,
     read_override,
 )
+from planrunner.signing.envelope import require_line
 from planrunner.signing.keys import Signer
-from planrunner.signing.statement import require_line
 from planrunner.tasks.approvals import ring_of, ring_of_run
 from planrunner.tasks.history import Freshness, opened
 

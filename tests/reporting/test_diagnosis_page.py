@@ -16,11 +16,11 @@ from planrunner.reporting.diagnosis_page import (
     DiagnosisContext,
     closure_words,
     probability,
+    ranked,
     render_page,
     tables,
     verdict,
 )
-from planrunner.reporting.diagnosis_pictures import ranked
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "schemas" / "diagnosis.schema.json").read_text(encoding="utf-8"))
 KINDS = ("none", "effect", "pair", "unknown", "indistinguishable")

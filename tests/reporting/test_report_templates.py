@@ -11,8 +11,7 @@ from reporting_example import context
 
 from planrunner.reporting import sandbox, templates
 from planrunner.reporting.sandbox import ReportError, available, lay_out
-from planrunner.reporting.template_data import Told, from_json, to_json
-from planrunner.reporting.templates import render
+from planrunner.reporting.templates import Told, from_json, render, to_json
 from planrunner.reporting.view import Picture, report_view
 
 ESCAPES = (

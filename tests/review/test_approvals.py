@@ -52,11 +52,10 @@ from planrunner.review.approvals import (
     read_stated,
 )
 from planrunner.review.meaning import meaning_of_plan, procedure_of
-from planrunner.signing.envelope import Envelope, pae, seal_envelope
+from planrunner.signing.envelope import PAYLOAD, STATEMENT, Envelope, pae, payload_of, seal_envelope
 from planrunner.signing.key_ring import KeyRing
 from planrunner.signing.keys import PrivateKey, PublicKey
 from planrunner.signing.run_signatures import PREDICATE
-from planrunner.signing.statement import PAYLOAD, STATEMENT, payload_of
 
 BY_CARLA = ("carla",)
 

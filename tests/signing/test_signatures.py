@@ -17,12 +17,11 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from planrunner.base.findings import InputError
 from planrunner.base.guarded_folder import GuardedFolder
-from planrunner.signing.envelope import Envelope, EnvelopeError, pae, parse_envelope, seal_envelope
+from planrunner.signing.envelope import PAYLOAD, Envelope, EnvelopeError, pae, parse_envelope, seal_envelope
 from planrunner.signing.key_ring import KeyRing, KnownKey, entry_text, parse_ring, read_ring
 from planrunner.signing.keys import PrivateKey, PublicKey, parse_public, read_private, write_private
 from planrunner.signing.run_signatures import sign_run, signatures_of
 from planrunner.signing.ssh_agent import AgentKey
-from planrunner.signing.statement import PAYLOAD
 from planrunner.tasks.verify import verify_run
 from tests.in_process import planrunner
 

@@ -24,8 +24,7 @@ from planrunner.night.history.check_standard import ControlStanding, ControlStat
 from planrunner.night.history.databases import INDEX
 from planrunner.plan import source
 from planrunner.reporting.history_tables import control_table
-from planrunner.signing.envelope import parse_envelope
-from planrunner.signing.statement import PAYLOAD
+from planrunner.signing.envelope import PAYLOAD, parse_envelope
 from planrunner.tasks import check_standard
 from planrunner.tasks.check_standard import Admission, Override, admit, check_in_control, control_state
 from planrunner.tasks.check_suite import check_suite
