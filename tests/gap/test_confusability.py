@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pytest
 
-from planrunner.error_model.effects.interface import Variant
+from planrunner.error_model.effects.interface import Column
 from planrunner.gap.answer.verdict import energy, fitted, reproduced, shared
-from planrunner.gap.hypotheses.candidates import Weighed
+from planrunner.gap.evidence.weighing import ChannelWeights
+from planrunner.gap.hypotheses.candidates import Reduced, Weighed
+
+
+class Unit:
+    """Weights of independent noise with a variance of one, without nominal parameters."""
+
+    segment = np.zeros(3, dtype=np.int64)
+
+    def project(self, columns: np.ndarray) -> np.ndarray:
+        return columns
 
 
 def _weighed(columns: np.ndarray, data: np.ndarray) -> Weighed:
     gram = columns.T @ columns
-    return Weighed(
-        Variant(()), gram[None], (columns.T @ data)[None], float(np.trace(gram)), 1.0, (columns,), (columns,)
-    )
+    reduced = Reduced(tuple(Column("a", "1", 1.0, 1.0, {0: own}, axis=None) for own in columns.T))
+    weights = cast(list[ChannelWeights], [Unit()])
+    return Weighed(reduced, gram[None], (columns.T @ data)[None], float(np.trace(gram)), 1.0, weights)
 
 
 def test_shares_by_hand() -> None:

@@ -4,6 +4,7 @@ dense covariance matrices, or from the scatter of many draws."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from scipy.linalg import block_diag
 from scipy.stats import chi2
 
 from planrunner.error_model.effects.gyro import GyroScaleAsymmetry
-from planrunner.error_model.effects.interface import Column, Shaped, Variant
+from planrunner.error_model.effects.interface import Column, Shaped
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.parameters import ParameterEstimate, amplitudes, exact_shape, wider
 from planrunner.gap.answer.remainder import dispersion, dispersions
-from planrunner.gap.hypotheses.candidates import Weighed, Weighing
+from planrunner.gap.evidence.weighing import ChannelWeights
+from planrunner.gap.hypotheses.candidates import Reduced, Weighed, Weighing
 from tests.gap.test_weighing import dense_covariance
 from tests.gap.turntable import DEG, record
 
@@ -148,12 +150,24 @@ class Delay(Shaped):
     id, stage, shape_name, shape_unit = "delay", "sensor", "delay", "s"
 
 
+class Unit:
+    """Weights of independent noise with a variance of one, without nominal parameters."""
+
+    def __init__(self, count: int) -> None:
+        self.segment = np.zeros(count, dtype=np.int64)
+
+    def project(self, columns: Array) -> Array:
+        return columns
+
+
 def acting(shape: float, by_channel: list[Array]) -> Weighed:
-    """An effect with these whitened columns (M,), one a channel."""
-    columns = tuple(one[:, None] for one in by_channel)
-    variant = Variant((Column("delay", "1", 1.0, 1.0, {}, axis=None),), shape, fixed=(0,))
+    """An effect with these coefficients (M,), one a channel."""
+    column = Column("delay", "1", 1.0, 1.0, dict(enumerate(by_channel)), axis=None)
     energy = sum(float(one @ one) for one in by_channel)
-    return Weighed(variant, np.full((1, 1, 1), energy), np.zeros((1, 1)), energy, 1.0, columns, columns)
+    weights = cast(list[ChannelWeights], [Unit(len(one)) for one in by_channel])
+    return Weighed(
+        Reduced((column,), shape, fixed=(0,)), np.full((1, 1, 1), energy), np.zeros((1, 1)), energy, 1.0, weights
+    )
 
 
 def test_a_shape_is_widened_by_the_mean_ratio_of_the_channels_that_it_acts_on() -> None:

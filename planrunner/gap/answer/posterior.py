@@ -304,8 +304,7 @@ def _again(weighing: Weighing, candidate: Candidate) -> Candidate:
     if not np.isfinite(candidate.log_bayes).any():
         return candidate
     usable = [item for item in candidate.variants if item.trace > 0]
-    raw = [np.hstack(blocks) for blocks in zip(*(item.raw for item in usable), strict=True)]
-    weighed = weighing.weigh([item.variant for item in usable], raw)
+    weighed = weighing.weigh_reduced([item.variant for item in usable])
     best = np.max([item.log_bayes for item in weighed], axis=0)
     return replace(candidate, variants=tuple(weighed), log_bayes=best + candidate.shape_cost)
 

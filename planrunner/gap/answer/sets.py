@@ -29,6 +29,7 @@ from planrunner.gap.evidence.bayes_factors import (
     set_log_bayes_factor,
     set_log_evidence,
 )
+from planrunner.gap.evidence.weighing import inner_products
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import (
     BENT,
@@ -131,8 +132,7 @@ def sets_of(
     """
     refit = known is None
     usable = [c for c in candidates if np.isfinite(c.log_bayes).any()]
-    products = _Products(weighing)
-    quick, level = _pairs(weighing, usable, products)
+    quick, level = _pairs(weighing, usable)
     best = max((weighing.evidence(c.log_bayes) for c in usable), default=-np.inf) + prior(1)
     if refit and level and max(one.evidence for one in level) + prior(2) > best + BENT:
         level += _with_output(weighing, usable, max(one.evidence for one in level))
@@ -153,7 +153,7 @@ def sets_of(
         best = max(best, likely[0].evidence + prior(count))
         if count == MOST:
             break
-        level = _extended(weighing, likely, usable, products)
+        level = _extended(weighing, likely, usable)
         full |= {one.key: one for one in level}
     for key, one in (known or {}).items():
         if one.on_others is not None:
@@ -166,21 +166,19 @@ def _weighed_again(weighing: Weighing, members: Sequence[Member]) -> tuple[Membe
     """Evaluates the forms of the members with the noise of another weighing."""
     found = []
     for member in members:
-        (form,) = weighing.weigh([member.form.variant], member.form.raw)
+        (form,) = weighing.weigh_reduced([member.form.variant])
         found.append(replace(member, form=form))
     return tuple(found)
 
 
-def _pairs(
-    weighing: Weighing, usable: Sequence[Candidate], products: _Products
-) -> tuple[dict[str, float], list[EffectSet]]:
+def _pairs(weighing: Weighing, usable: Sequence[Candidate]) -> tuple[dict[str, float], list[EffectSet]]:
     """Evaluates all pairs that consist of a probable effect and any other effect. Returns two results: the log evidence of each
     pair from a quick evaluation, and the full evaluation of the best pairs."""
     ranked = sorted(usable, key=lambda c: -weighing.evidence(c.log_bayes))[:FIRST]
     quick: dict[str, tuple[float, tuple[Member, Member]]] = {}
     for first in map(Member.best, ranked):
         at = weighing.likeliest_with(first.form.log_bayes, False)
-        for second, value in _given(products, first.form, [other for other in usable if other.id != first.id], at):
+        for second, value in _given(weighing, first.form, [other for other in usable if other.id != first.id], at):
             value += weighing.evidence(first.form.log_bayes) + first.cost + second.cost
             key = key_of([first.id, second.id])
             if key not in quick or value > quick[key][0]:
@@ -204,7 +202,7 @@ def _with_output(weighing: Weighing, usable: Sequence[Candidate], least: float) 
     found = []
     for again in candidates_of(weighing.with_known(columns, amplitudes), [c.effect for c in acting]):
         if np.isfinite(again.log_bayes).any():
-            (form,) = weighing.weigh([again.best.variant], again.best.raw)
+            (form,) = weighing.weigh_reduced([again.best.variant])
             members = Member.best(first), Member(again, form, again.shape_cost)
             if form.trace > 0:
                 found.append(_evaluated(weighing, members))
@@ -213,15 +211,13 @@ def _with_output(weighing: Weighing, usable: Sequence[Candidate], least: float) 
     return [one for one in each if one.evidence > least]
 
 
-def _extended(
-    weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[Candidate], products: _Products
-) -> list[EffectSet]:
+def _extended(weighing: Weighing, level: Sequence[EffectSet], usable: Sequence[Candidate]) -> list[EffectSet]:
     """Adds one effect to each of the most probable sets, and evaluates the best of the larger sets in full."""
     quick: dict[str, tuple[float, tuple[Member, ...]]] = {}
     for one in level:
         inside = {member.id for member in one.members}
         at = weighing.likeliest_with(one.log_bayes, False)
-        for more, value in _given(products, one.weighed, [other for other in usable if other.id not in inside], at):
+        for more, value in _given(weighing, one.weighed, [other for other in usable if other.id not in inside], at):
             value += one.evidence + more.cost
             key = key_of([*inside, more.id])
             if key not in quick or value > quick[key][0]:
@@ -286,7 +282,7 @@ def _refitted(weighing: Weighing, one: EffectSet) -> EffectSet:
             (again,) = candidates_of(weighing.beside(together(weighing, others)), [effect])
             if not np.isfinite(again.log_bayes).any():
                 continue
-            (form,) = weighing.weigh([again.best.variant], again.best.raw)
+            (form,) = weighing.weigh_reduced([again.best.variant])
             changed, least = Member(again, form, again.shape_cost), one.evidence
         elif isinstance(effect, Curved) and float(member.form.log_bayes.max()) > BENT:
             (form,), least = weighing.weigh(_around(weighing, one, member, effect)), one.evidence - WORSE
@@ -337,7 +333,7 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
         places = [k for k in range(len(members)) if k != number]
         for k, low, high in zip(places, ends[:-1], ends[1:], strict=True):
             raw = [block[:, low:high] for block in acted.others]
-            (form,) = weighing.weigh([members[k].form.variant], raw)
+            (form,) = weighing.weigh_reduced([members[k].form.variant.with_tables(raw)])
             members[k] = replace(members[k], form=form)
         members[number] = replace(members[number], form=acted.best)
         if any(member.form.trace <= 0 for member in members):
@@ -348,20 +344,20 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
     return best
 
 
-def _given(
-    products: _Products, a: Weighed, others: Sequence[Candidate], setting: int
-) -> Iterator[tuple[Member, float]]:
+def _given(weighing: Weighing, a: Weighed, others: Sequence[Candidate], setting: int) -> Iterator[tuple[Member, float]]:
     """Assumes that the effect `a` acts with its most probable size. Under this condition, yields the best form of each of the other
     effects, and the increase of the log Bayes factor by this form. `setting`: index of the setting of the noise."""
     if not others:
         return
     mean, covariance = a.amplitudes_at(setting)
+    own, means = weighing.transposed_at(a, setting), weighing.spectrum.means
     forms = [len(other.variants) for other in others]
     size = np.zeros((sum(forms), max((other.variants[0].gram.shape[1] for other in others), default=0)))
     along, last = np.zeros_like(size), 0
     fixed: dict[str, Array] = {}
     for other, count in zip(others, forms, strict=True):
-        cross = products.across(a, other, setting)
+        columns = [column for item in other.variants for column in item.variant.columns]
+        cross = np.swapaxes(inner_products(columns, own, means).reshape(len(mean), count, -1), 0, 1)  # (V, q, p)
         grams = (
             np.array([item.gram[setting] for item in other.variants]) - np.swapaxes(cross, 1, 2) @ covariance @ cross
         )
@@ -379,22 +375,3 @@ def _given(
         values = fixed.get(other.id, values)
         best = int(np.argmax(values))
         yield Member(other, other.variants[best], other.shape_cost), float(values[best])
-
-
-class _Products:
-    """Computes inner products of the columns of effects at several settings of the noise. Keeps the whitened columns of all effects
-    at the settings that were used."""
-
-    def __init__(self, weighing: Weighing):
-        self.weighing = weighing
-        self._known: dict[tuple[str, int], dict[int, Array]] = {}
-
-    def across(self, a: Weighed, other: Candidate, setting: int) -> Array:
-        """Returns the inner products of the q columns of the effect `a` with the p columns of each of the V variants of another effect,
-        shape (V, q, p)."""
-        if (other.id, setting) not in self._known:
-            self._known[other.id, setting] = other.stacked_at(self.weighing, setting)
-        stacked = self._known[other.id, setting]
-        own = self.weighing.whitened_at(a, setting)
-        products = np.sum([own[channel][1].T @ y for channel, y in stacked.items()], axis=0)
-        return np.asarray(np.swapaxes(products.reshape(len(products), len(other.variants), -1), 0, 1))

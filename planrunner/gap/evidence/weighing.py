@@ -25,9 +25,9 @@ number of settings of the noise, q is the number of nominal parameters of a chan
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,10 +144,10 @@ class ChannelWeights:
     `relative`: array of shape (M,), variance of the noise of each coefficient, divided by the variance of the white noise.
     `walk_within`: array of shape (M,) in SI²·samples, variance of the coefficients above order 0 (all except the segment means) due
     to a random walk. `undithered`: variance of the rounding error of a segment mean, which does not average out over the samples.
-    `log_likelihood`: residual log likelihood (REML) of the data without any effect. `log_det`: −2·log_likelihood minus the sum of
-    the squared residuals. `basis`: array of shape (M, q), orthonormal basis of the whitened nominal columns. `scale`: array of
-    shape (M,), factors that whiten coefficients one by one. If there is no slow noise, they apply to all coefficients, otherwise
-    only to the coefficients above order 0.
+    `segment`: array of shape (M,), as in `Spectrum`. `log_likelihood`: residual log likelihood (REML) of the data without any
+    effect. `log_det`: −2·log_likelihood minus the sum of the squared residuals. `basis`: array of shape (M, q), orthonormal basis
+    of the whitened nominal columns. `scale`: array of shape (M,), factors that whiten coefficients one by one. If there is no slow
+    noise, they apply to all coefficients, otherwise only to the coefficients above order 0.
     """
 
     def __init__(
@@ -187,7 +187,7 @@ class ChannelWeights:
         within = within.plus(tail)
         self.walk = walk
         self._covariance = covariance
-        self._segment = spectrum.segment
+        self.segment = spectrum.segment
         self._means = spectrum.means
         self._order_0 = spectrum.frequency == 0
         self._root = np.sqrt(counts)
@@ -291,7 +291,7 @@ class ChannelWeights:
         if self._correlation is not None:
             out = self._correlation.whole()[np.ix_(chosen, chosen)] / np.outer(self.scale[chosen], self.scale[chosen])
         at = np.flatnonzero(np.isin(chosen, self._means))
-        owners = self._segment[chosen[at]]
+        owners = self.segment[chosen[at]]
         out[np.ix_(at, at)] = self._covariance[np.ix_(owners, owners)] * np.outer(
             self._root[owners], self._root[owners]
         )
@@ -306,7 +306,7 @@ class ChannelWeights:
         `whiten` does."""
         chosen = np.flatnonzero(rows)
         at = np.flatnonzero(np.isin(chosen, self._means))
-        owners = self._segment[chosen[at]]
+        owners = self.segment[chosen[at]]
         root = self._root[owners]
         scale = self.scale[chosen]
         among = None if self._correlation is None else self._correlation.among(rows)
@@ -399,7 +399,7 @@ class ChannelWeights:
         own = self._order_0[rows]
         if self._inverse is None or not own.any():
             return rows, columns * self.scale[rows, None]
-        owners = self._segment[rows[own]]
+        owners = self.segment[rows[own]]
         means = self._inverse[:, owners] @ (columns[own] / self._root[owners, None])
         others = rows[~own]
         return np.concatenate([self._means, others]), np.concatenate([means, columns[~own] * self.scale[others, None]])
@@ -433,6 +433,14 @@ def _besides(walking: Blocks, within: Blocks, measured: NDArray[np.bool_]) -> Bl
 def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Array]:
     """Returns, for each channel, the coefficients that each column causes if its amplitude equals the `magnitude` of the column,
     shape (M, P); zero where a column does not act."""
+    reduced = reduced_columns(observed, spectrum, columns)
+    return [table_of(reduced, channel, spectrum.segment) for channel in range(len(observed.channels))]
+
+
+def reduced_columns(observed: Observed, spectrum: Spectrum, columns: Sequence[Column]) -> list[Column]:
+    """Returns the columns with coefficients (M,) instead of samples (N,) in their `parts`. Columns with the same samples in a channel
+    share one array of coefficients, even if they act in different segments: `Column.segments` is not applied to the coefficients.
+    In segments in which none of these columns acts, the coefficients are zero."""
     found: dict[tuple[int, tuple[int, ...]], _Shared] = {}
     for index, column in enumerate(columns):
         for channel, part in column.parts.items():
@@ -440,14 +448,51 @@ def coefficients_of(observed: Observed, spectrum: Spectrum, columns: Sequence[Co
             shared = found.setdefault((table.__array_interface__["data"][0], table.strides), _Shared(table))
             shared.places.append((index, channel, place))
             shared.acting = shared.acting | (True if column.segments is None else column.segments)
-    out = [np.zeros((len(spectrum.segment), len(columns))) for _ in observed.channels]
+    parts: list[dict[int, Array]] = [{} for _ in columns]
     for shared in found.values():
         projected = spectrum.project(observed, shared.table, np.broadcast_to(shared.acting, len(observed)))
+        of_place = list(projected.T)
         for index, channel, place in shared.places:
-            column = columns[index]
-            here = 1.0 if column.segments is None else column.segments[spectrum.segment]
-            out[channel][:, index] = projected[:, place] * (column.magnitude * here)
+            parts[index][channel] = of_place[place]
+    return [replace(column, parts=own) for column, own in zip(columns, parts, strict=True)]
+
+
+def table_of(columns: Sequence[Column], channel: int, segment: NDArray[np.int64]) -> Array:
+    """Returns the coefficients that columns cause in one channel if their amplitudes equal their magnitudes, shape (M, P). `columns`:
+    P columns that contain coefficients, as `reduced_columns` returns them. `segment`: array of shape (M,), as in `Spectrum`."""
+    out = np.zeros((len(segment), len(columns)))
+    for index, column in enumerate(columns):
+        if channel in column.parts:
+            here = 1.0 if column.segments is None else column.segments[segment]
+            out[:, index] = column.parts[channel] * (column.magnitude * here)
     return out
+
+
+def inner_products(columns: Sequence[Column], others: Mapping[int, Array], means: NDArray[np.int64]) -> Array:
+    """Returns the inner products of P columns of coefficients with other columns, summed over the channels, shape (p, P).
+
+    Columns that differ only in the segments in which they act, such as the same step at different moments, are evaluated together,
+    from the sums over each segment. `columns`: P columns that contain coefficients, for amplitudes equal to their magnitudes.
+    `others`: for each channel in which they are not zero, the other columns, shape (M, p). `means`: array of shape (S,), as in
+    `Spectrum`."""
+    alike: dict[tuple[tuple[int, int], ...], list[int]] = {}
+    for index, column in enumerate(columns):
+        alike.setdefault(tuple((channel, id(part)) for channel, part in column.parts.items()), []).append(index)
+    out = np.zeros((next(iter(others.values())).shape[1], len(columns)))
+    for same in alike.values():
+        parts = columns[same[0]].parts
+        products = [others[channel] * part[:, None] for channel, part in parts.items() if channel in others]
+        if products:
+            of_segments = np.add.reduceat(np.sum(products, axis=0), means, axis=0)
+            acting = np.array([_acting(columns[index], len(means)) for index in same])
+            out[:, same] = (acting @ of_segments).T
+    return out
+
+
+def _acting(column: Column, segments: int) -> Array:
+    """Returns the magnitude of a column in segments in which it acts, and 0 in other segments, shape (S,)."""
+    acting = np.full(segments, column.magnitude)
+    return acting if column.segments is None else acting * column.segments
 
 
 @dataclass

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +37,9 @@ from planrunner.gap.evidence.weighing import (
     Setting,
     coefficients_of,
     independent,
+    reduced_columns,
     settings_of,
+    table_of,
     walking_alike,
 )
 from planrunner.physics.sampled_motion import AngleFrom
@@ -53,27 +55,57 @@ _ROUNDING = 1e-13  # fraction of a signal; smaller changes are rounding errors
 _UNLIKELY = 1e-3  # probability at and below which a setting of the noise is omitted
 
 
+@dataclass(frozen=True, slots=True)
+class Reduced(Variant):
+    """A variant of an effect whose columns contain coefficients instead of samples (`reduced_columns`). Columns with the same samples
+    share their coefficients, so all forms of all effects together need little memory."""
+
+    @classmethod
+    def of(cls, variant: Variant, columns: Sequence[Column]) -> Reduced:
+        """Makes a reduced variant from a variant and its columns of coefficients."""
+        return cls(tuple(columns), variant.shape, variant.widths, variant.fixed)
+
+    def with_tables(self, raw: Sequence[Array]) -> Reduced:
+        """Returns a copy with other coefficients. `raw`: for each channel, the coefficients (M, p) of the p columns, for amplitudes
+        equal to their magnitudes. Channels on which a column does not act are ignored."""
+        columns = []
+        for k, column in enumerate(self.columns):
+            parts = {channel: raw[channel][:, k] / column.magnitude for channel in column.parts}
+            columns.append(replace(column, parts=parts, segments=None))
+        return Reduced.of(self, columns)
+
+
 @dataclass(frozen=True)
 class Weighed:
-    """Contains a variant of an effect (the effect at one value of its shape) after whitening and evaluation. The columns of the
-    variant no longer contain samples. `gram`: array of shape (G, p, p), inner products between the whitened, projected columns.
-    `score`: array of shape (G, p), inner products of these columns with the whitened data. Both arrays are computed at each of the
-    G settings of the noise. A setting of the noise is a combination of levels of flicker and random walk. Projection removes the
-    part of a column that the nominal parameters absorb. Amplitudes are in magnitudes: the amplitude of each column is divided by
-    its prior scale `Column.magnitude`.
+    """Contains a variant of an effect (the effect at one value of its shape) after whitening and evaluation. `gram`: array of shape
+    (G, p, p), inner products between the whitened, projected columns. `score`: array of shape (G, p), inner products of these
+    columns with the whitened data. Both arrays are computed at each of the G settings of the noise. A setting of the noise is a
+    combination of levels of flicker and random walk. Projection removes the part of a column that the nominal parameters absorb.
+    Amplitudes are in magnitudes: the amplitude of each column is divided by its prior scale `Column.magnitude`.
 
     `trace`: energy of the columns after projection, at the first setting of the noise. `kept`: ratio of this energy to the energy
-    before projection. `by_channel`: whitened, projected columns (M, p) at the first setting. `raw`: the same columns before
-    whitening and projection, each for an amplitude equal to `Column.magnitude`.
+    before projection. `weights`: the weights of each channel at the first setting.
     """
 
-    variant: Variant
+    variant: Reduced
     gram: Array = field(repr=False)
     score: Array = field(repr=False)
     trace: float
     kept: float
-    by_channel: tuple[Array, ...] = field(repr=False)
-    raw: tuple[Array, ...] = field(repr=False)
+    weights: Sequence[ChannelWeights] = field(repr=False)
+
+    @property
+    def raw(self) -> tuple[Array, ...]:
+        """Returns, for each channel, the columns (M, p) before whitening and projection, each for an amplitude equal to
+        `Column.magnitude`. The columns are computed at each call; there are too many effects to store them."""
+        columns = self.variant.columns
+        return tuple(table_of(columns, channel, own.segment) for channel, own in enumerate(self.weights))
+
+    @property
+    def by_channel(self) -> tuple[Array, ...]:
+        """Returns, for each channel, the whitened, projected columns (M, p) at the first setting of the noise. The columns are computed
+        at each call, as in `raw`."""
+        return tuple(own.project(raw) for own, raw in zip(self.weights, self.raw, strict=True))
 
     @property
     def held(self) -> bool:
@@ -171,28 +203,6 @@ class Candidate:
     @property
     def best(self) -> Weighed:
         return max(self.variants, key=lambda weighed: float(weighed.log_bayes[self.at]))
-
-    @cached_property
-    def acting(self) -> list[int]:
-        """Returns the indices of the channels on which the effect acts."""
-        return sorted({c for item in self.variants for column in item.variant.columns for c in column.parts})
-
-    @cached_property
-    def stacked(self) -> dict[int, Array]:
-        """Returns the whitened, projected columns of all V variants side by side, at the first setting of the noise: for each channel
-        on which the effect acts, an array (M, V·p)."""
-        return {channel: np.hstack([item.by_channel[channel] for item in self.variants]) for channel in self.acting}
-
-    def stacked_at(self, weighing: Weighing, setting: int) -> dict[int, Array]:
-        """Returns the same columns as `stacked`, but at the setting of the noise with the index `setting`."""
-        if setting == 0:
-            return self.stacked
-        return {
-            channel: weighing.weights_at(setting, channel).project(
-                np.hstack([item.raw[channel] for item in self.variants])
-            )
-            for channel in self.acting
-        }
 
     @property
     def shape_cost(self) -> float:
@@ -573,19 +583,25 @@ class Weighing:
         terms = self.base + log_bayes + self.log_prior[int(walking)]
         return float(np.logaddexp.reduce(terms))
 
-    def projected(self, groups: Iterable[Sequence[Variant]]) -> tuple[list[Variant], list[Array]]:
-        """Returns the variants of all groups without their samples and, for each channel, the coefficients (M, P) of all their columns.
-        Samples are not stored, because the samples of all forms of all effects together would need many times the memory of the
-        recording. If `groups` makes the groups one after the other, the samples of only one group are in memory at a time."""
-        variants: list[Variant] = []
-        blocks = [coefficients_of(self.observed, self.spectrum, ())]
+    def transposed_at(self, weighed: Weighed, setting: int) -> dict[int, Array]:
+        """Returns, for each channel on which a variant acts, the columns (M, p) of which the inner products with columns of coefficients
+        are those of the whitened, projected columns: Wᵀ·y, where y are the whitened, projected columns of the variant, and W is the
+        matrix that whitens coefficients at one setting of the noise."""
+        acting = {channel for column in weighed.variant.columns for channel in column.parts}
+        pairs = enumerate(self.whitened_at(weighed, setting))
+        return {channel: weight.transposed(columns) for channel, (weight, columns) in pairs if channel in acting}
+
+    def reduced(self, groups: Iterable[Sequence[Variant]]) -> list[Reduced]:
+        """Returns the variants of all groups with coefficients instead of samples. The samples of all forms of all effects together
+        would need many times the memory of the recording. If `groups` makes the groups one after the other, the samples of only one
+        group are in memory at a time."""
+        found: list[Reduced] = []
         for group in groups:
-            blocks.append(
-                coefficients_of(self.observed, self.spectrum, [c for variant in group for c in variant.columns])
-            )
-            variants += map(_without_samples, group)
-            del group  # releases the memory before the next group is made
-        return variants, [np.hstack([block.pop(0) for block in blocks]) for _ in self.observed.channels]
+            columns = [column for variant in group for column in variant.columns]
+            left = iter(reduced_columns(self.observed, self.spectrum, columns))
+            found += [Reduced.of(variant, list(islice(left, len(variant.columns)))) for variant in group]
+            del group, columns  # releases the memory before the next group is made
+        return found
 
     def amplitudes(self, weighed: Weighed, walking: bool) -> tuple[Array, Array]:
         """Returns posterior mean (p,) and covariance (p, p) of the amplitudes in magnitudes. Mean and covariance are averaged over
@@ -602,88 +618,67 @@ class Weighing:
 
     def weigh_groups(self, groups: Iterable[Sequence[Variant]]) -> list[Weighed]:
         """Does the same as `weigh` for the variants of all groups. The samples of only one group are in memory at a time, as in
-        `projected`."""
-        return self.weigh(*self.projected(groups))
+        `reduced`."""
+        return self.weigh_reduced(self.reduced(groups))
 
-    def weigh(self, variants: Sequence[Variant], raw: Sequence[Array] | None = None) -> list[Weighed]:
-        """Whitens variants (effects, each at one value of its shape) and evaluates them at every setting of the noise. `raw`:
-        coefficients that `projected` has already computed, if any."""
-        if raw is None:
-            variants, raw = self.projected([variants])
+    def weigh(self, variants: Sequence[Variant]) -> list[Weighed]:
+        """Whitens variants (effects, each at one value of its shape) and evaluates them at every setting of the noise."""
+        return self.weigh_reduced(self.reduced([variants]))
+
+    def weigh_reduced(self, variants: Sequence[Reduced]) -> list[Weighed]:
+        """Does the same as `weigh` for variants with coefficients instead of samples. The whitened columns of only one part of the
+        variants are in memory at a time."""
+        at_once = max(1, _AT_ONCE // (len(self.spectrum.segment) * max(self.shape)))
+        ends = np.cumsum([len(variant.columns) for variant in variants])
+        found: list[Weighed] = []
+        while len(found) < len(variants):
+            begin = len(found)
+            already = int(ends[begin - 1]) if begin else 0
+            end = max(begin + 1, int(np.searchsorted(ends, already + at_once, side="right")))
+            found += self._weigh_part(variants[begin:end])
+        return found
+
+    def _weigh_part(self, variants: Sequence[Reduced]) -> list[Weighed]:
+        """Evaluates variants whose whitened columns fit in memory."""
         columns = [column for variant in variants for column in variant.columns]
         widths = [len(variant.columns) for variant in variants]
         bounds = np.concatenate(([0], np.cumsum(widths))).astype(int)
-        if len(variants) > 1 and raw[0].size * max(self.shape) > _AT_ONCE:
-            half = len(variants) // 2
-            parts = [block[:, : bounds[half]] for block in raw], [block[:, bounds[half] :] for block in raw]
-            return self.weigh(variants[:half], parts[0]) + self.weigh(variants[half:], parts[1])
         sizes = {"gyro": self.shape[0], "accel": self.shape[1]}
         grams = [{kind: np.zeros((n, p, p)) for kind, n in sizes.items()} for p in widths]
         scores = {kind: np.zeros((n, len(columns))) for kind, n in sizes.items()}
         before = np.zeros(len(columns))
-        first: list[Array] = []
         for index, channel in enumerate(self.observed.channels):
             used = np.flatnonzero([index in column.parts for column in columns])
-            whole = np.zeros(raw[index].shape)  # takes no memory before it is written
-            first.append(whole)
             if not len(used):
                 continue
-            own = raw[index][:, used]
+            own = table_of([columns[k] for k in used], index, self.spectrum.segment)
             distinct = {id(weight): weight for weight in self.weights[index]}
             order = {key: number for number, key in enumerate(distinct)}
             which = [order[id(weight)] for weight in self.weights[index]]
             projected = np.array([weight.project(own) for weight in distinct.values()])
-            whole[:, used] = projected[which[0]]
             before[used] += (self.weights[index][0].whiten(own) ** 2).sum(0)
-            score = [block.T @ weight.residual for block, weight in zip(projected, distinct.values(), strict=True)]
-            scores[channel.kind][:, used] += np.array(score)[which]
+            along = [block.T @ weight.residual for block, weight in zip(projected, distinct.values(), strict=True)]
+            scores[channel.kind][:, used] += np.array(along)[which]
             for v, (low, high) in enumerate(pairwise(np.searchsorted(used, bounds))):
                 if high > low:
                     block, at = projected[:, :, low:high], used[low:high] - bounds[v]
                     grams[v][channel.kind][:, at[:, None], at] += (np.swapaxes(block, 1, 2) @ block)[which]
-        return [
-            self._weighed(
-                variant,
-                grams[v],
-                scores,
-                slice(bounds[v], bounds[v + 1]),
-                float(before[bounds[v] : bounds[v + 1]].sum()),
-                first,
-                raw,
+        first = tuple(own[0] for own in self.weights)
+        found = []
+        for v, (variant, (low, high)) in enumerate(zip(variants, pairwise(bounds), strict=True)):
+            p = high - low
+            gram = (grams[v]["gyro"][:, None] + grams[v]["accel"][None]).reshape(-1, p, p)
+            score = (scores["gyro"][:, None, low:high] + scores["accel"][None, :, low:high]).reshape(-1, p)
+            trace = float(np.trace(gram[0]))
+            found.append(
+                Weighed(variant, gram, score, trace, trace / max(float(before[low:high].sum()), 1e-300), first)
             )
-            for v, variant in enumerate(variants)
-        ]
+        return found
 
     def together(self, forms: Sequence[Weighed]) -> Weighed:
         """Evaluates several effects together: their columns form one linear model. `forms`: one form of each effect."""
-        raw = [np.hstack(blocks) for blocks in zip(*(form.raw for form in forms), strict=True)]
-        (weighed,) = self.weigh([joined(forms)], raw)
+        (weighed,) = self.weigh_reduced([joined(forms)])
         return weighed
-
-    @staticmethod
-    def _weighed(
-        variant: Variant,
-        grams: dict[str, Array],
-        scores: dict[str, Array],
-        part: slice,
-        before: float,
-        first: Sequence[Array],
-        raw: Sequence[Array],
-    ) -> Weighed:
-        """Makes one evaluated variant from the columns in the range `part` of all columns. Each setting of the gyros is combined
-        with each setting of the accelerometers.
-
-        `grams`: for the gyros and for the accelerometers, the inner products of the variant's columns with each other, at each of
-        their settings. `scores`: the inner products of all columns with the data, in the same way. `before`: energy of the columns
-        before the nominal parameters are projected out. `first`: for each channel, all columns, whitened and projected, at the
-        first setting. `raw`: for each channel, all columns, not whitened.
-        """
-        p = len(variant.columns)
-        gram = (grams["gyro"][:, None] + grams["accel"][None]).reshape(-1, p, p)
-        score = (scores["gyro"][:, None, part] + scores["accel"][None, :, part]).reshape(-1, p)
-        trace = float(np.trace(gram[0]))
-        blocks = tuple(block[:, part] for block in first), tuple(block[:, part] for block in raw)
-        return Weighed(variant, gram, score, trace, trace / max(before, 1e-300), *blocks)
 
 
 def _constant(signal: Array, bounds: NDArray[np.int64]) -> NDArray[np.bool_]:
@@ -693,20 +688,13 @@ def _constant(signal: Array, bounds: NDArray[np.int64]) -> NDArray[np.bool_]:
     return np.asarray(largest - smallest <= _ROUNDING * np.maximum(np.abs(smallest), np.abs(largest)))
 
 
-def joined(forms: Sequence[Weighed]) -> Variant:
+def joined(forms: Sequence[Weighed]) -> Reduced:
     """Returns the variant that contains the columns of several effects. `forms`: one form of each effect."""
     columns = [form.variant.columns for form in forms]
     widths = tuple(map(len, columns))
     starts = np.cumsum([0, *widths[:-1]]).tolist()
     fixed = tuple(start + k for start, form in zip(starts, forms, strict=True) for k in form.variant.fixed)
-    return Variant(tuple(column for own in columns for column in own), widths=widths, fixed=fixed)
-
-
-def _without_samples(variant: Variant) -> Variant:
-    """Returns the variant without samples; its signatures only state on which channels its columns act."""
-    nothing = np.empty(0)
-    columns = (replace(column, parts=dict.fromkeys(column.parts, nothing)) for column in variant.columns)
-    return replace(variant, columns=tuple(columns))
+    return Reduced(tuple(column for own in columns for column in own), widths=widths, fixed=fixed)
 
 
 def nominal_columns(observed: Observed, nominal: Sequence[str]) -> list[Column]:

@@ -60,14 +60,8 @@ def candidates_of(weighing: Weighing, effects: Sequence[Effect]) -> list[Candida
         return []
     each = [ways_of(effect, weighing.observed) for effect in effects]
     ways = [way for own in each for way in own]
-    forms: list[list[Variant]] = []
-    blocks = []
-    for way in ways:
-        without_samples, coefficients = weighing.projected(_groups(way, weighing.observed))
-        forms.append(without_samples)
-        blocks.append(coefficients)
-    raw = [np.hstack([block.pop(0) for block in blocks]) for _ in weighing.observed.channels]
-    weighed = iter(weighing.weigh([variant for form in forms for variant in form], raw))
+    forms = [weighing.reduced(_groups(way, weighing.observed)) for way in ways]
+    weighed = iter(weighing.weigh_reduced([variant for form in forms for variant in form]))
     coarse = [[next(weighed) for _ in form] for form in forms]
     found: list[Candidate | None] = [None] * len(ways)
     reached = -np.inf
@@ -322,11 +316,11 @@ def whole_forms(
     short, columns = (weighing, columns) if on_output(effect) is None else weighing.condensed(columns)
     found = _found(short.without_walks(), effect, near, columns, reached)
     around = found.shape * np.exp(found.sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
-    variants, raw = short.projected([replace(effect.at(found.seen, float(value)), fixed=(0,))] for value in around)
-    forms = weighing.weigh(variants, raw)
+    variants = short.reduced([replace(effect.at(found.seen, float(value)), fixed=(0,))] for value in around)
+    forms = weighing.weigh_reduced(variants)
     if max(_evidence(weighing, form) for form in forms) < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
         return []
-    each = np.array([_evidence(found.along, form) for form in found.along.weigh(variants, raw)])
+    each = np.array([_evidence(found.along, form) for form in found.along.weigh_reduced(variants)])
     share = np.exp(each - each.max())
     return list(zip(forms, (share / share.sum()).tolist(), strict=True))
 
@@ -513,7 +507,7 @@ class OnOthers:
         parameters. The second is the evaluation of all columns of the effects (`together`) with this copy. The uncertainty of the
         amplitudes then includes the uncertainty of the nominal parameters."""
         along = weighing.moving(self.point.change, self.point.values)
-        (found,) = along.weigh([together.variant], together.raw)
+        (found,) = along.weigh_reduced([together.variant])
         return along, found
 
 
@@ -541,7 +535,7 @@ def on_others(
     made = []
     for one, share in forms:
         raw = [block + more[:, None] for block, more in zip(one.raw, shown, strict=True)]
-        (weighed,) = weighing.weigh([one.variant], raw)
+        (weighed,) = weighing.weigh_reduced([one.variant.with_tables(raw)])
         if weighed.kept <= ABSORBED:  # a limit near zero, for example, leaves nothing of the output
             return None
         made.append((weighed, share))
