@@ -190,9 +190,10 @@ def test_waves_are_whitened_in_parts() -> None:
     """Waves of eight times as many periods as usual. The covariance of a random walk correlates their coefficients."""
     weighing = Weighing(record(seed=1))
     repeating, left = Repeating(weighing), Left.whole(weighing.weights[0][-1])
-    waves = np.tile(repeating.waves(repeating.frequencies, 4), (1, 8, 1, 1))
+    frequencies = np.tile(repeating.frequencies, 8)
+    waves = repeating.waves(frequencies, 4)
     tracemalloc.start()
-    in_parts = repeating._eigen(left, waves, (2, 8))
+    (in_parts,) = repeating._eigen([left], frequencies, 4, (2, 8))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 2 * waves.nbytes
@@ -207,9 +208,8 @@ def test_a_part_of_the_waves_contains_at_least_one_period(monkeypatch: pytest.Mo
     repeating, left = Repeating(weighing), Left.whole(weighing.weights[0][0])
     waves = repeating.waves(repeating.frequencies[:3], 4)
     monkeypatch.setattr("planrunner.gap.hypotheses.open_set._AT_ONCE", 1)
-    for found, expected in zip(
-        repeating._eigen(left, waves, (2, 8)), repeating._of_part(left, waves, (2, 8)), strict=True
-    ):
+    (in_parts,) = repeating._eigen([left], repeating.frequencies[:3], 4, (2, 8))
+    for found, expected in zip(in_parts, repeating._of_part(left, waves, (2, 8)), strict=True):
         np.testing.assert_allclose(found[1].sum(1), expected[1].sum(1), rtol=1e-9)
 
 

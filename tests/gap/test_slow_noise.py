@@ -60,7 +60,7 @@ def test_what_a_walk_does_within_a_segment_continues_in_later_means() -> None:
     dense = np.where(segment == np.arange(4)[:, None], own, np.where(segment < np.arange(4)[:, None], afterwards, 0.0))
     found = WalkAcross(own, afterwards, np.array([0, 3, 4, 8]))
     columns = draw.standard_normal((10, 5))
-    assert found.dense() == pytest.approx(dense)
+    assert found.between(np.arange(len(found.first)), np.arange(len(found.own))) == pytest.approx(dense)
     assert found.product(columns) == pytest.approx(dense @ columns)
     assert found.squared() == pytest.approx(dense @ dense.T)
 

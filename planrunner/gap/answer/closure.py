@@ -675,8 +675,7 @@ def _in_unit(weighing: Weighing, noise: MeasuredNoise, index: int, own: Closure,
     standard deviations is converted with the root mean square of the noise of the coefficients. `own`: the closure of the channel.
     `residual`: array of shape (m,), the channel's held-out residuals in all folds; only their number is used."""
     channel, weight = weighing.observed.channels[index], noise.weights[index]
-    every = np.ones(len(weight.scale), dtype=bool)
-    sigma = float(np.sqrt(np.mean(np.diag(weight.covariance(every)) * noise.scale[index] ** 2)))
+    sigma = float(np.sqrt(np.mean(weight.variances * noise.scale[index] ** 2)))
     size = sigma * float(np.sqrt(len(residual) / weighing.observed.counts.sum())) / channel.factor
     return ChannelClosure(
         channel.name,

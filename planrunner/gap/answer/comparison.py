@@ -221,7 +221,7 @@ def _slow(weighing: Weighing, index: int, at: _Common) -> Array:
     zero for coefficients that are not means."""
     weight, found = weighing.weights[index][0], weighing.spectrum
     counts = weighing.observed.counts.astype(float)
-    whole = np.diag(weight.covariance(found.frequency == 0)) / counts - weighing.white[index] ** 2 / counts
+    whole = weight.variances[found.means] / counts - weighing.white[index] ** 2 / counts
     out = np.zeros(len(at.means))
     out[at.means] = np.maximum(whole[found.segment[at.rows[0]][at.means]], 0.0)
     return out

@@ -386,7 +386,7 @@ def _points(weighing: Weighing, labels: Sequence[str], seen: Sequence[int]) -> t
         weight, spectrum = weighing.weights[index][0], weighing.spectrum
         factor = weighing.observed.channels[index].factor
         root = np.sqrt(weighing.observed.counts)
-        sigma = np.sqrt(np.diag(weight.covariance(spectrum.frequency == 0))) / root / factor
+        sigma = np.sqrt(weight.variances[spectrum.means]) / root / factor
         weights = np.bincount(which, 1 / sigma**2)
         values.append(np.bincount(which, weight.residual[spectrum.means] / sigma) / weights)
         uncertainties.append(1 / np.sqrt(weights))
@@ -402,19 +402,15 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
     fitted effects, or None if there are none."""
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = len(observed)
-    amplitudes = None if after is None else after.amplitudes[0]
+    explained = None if after is None else [own @ after.amplitudes[0] for own in after.by_channel]
     degrees = np.bincount(spectrum.segment, minlength=segments)
     heat, means = [], {}
     for index, channel in enumerate(observed.channels):
         weight = weighing.weights[index][0]
         heat.append((np.bincount(spectrum.segment, weight.residual**2, segments) / degrees).tolist())
         root = np.sqrt(observed.counts)
-        sigma = np.sqrt(np.diag(weight.covariance(spectrum.frequency == 0))) / root / channel.factor
-        rest = (
-            weight.residual
-            if amplitudes is None or after is None
-            else weight.residual - after.by_channel[index] @ amplitudes
-        )
+        sigma = np.sqrt(weight.variances[spectrum.means]) / root / channel.factor
+        rest = weight.residual if explained is None else weight.residual - explained[index]
         means[channel.name] = {
             "before": (weight.residual[spectrum.means] * sigma).tolist(),
             "after": (rest[spectrum.means] * sigma).tolist(),
@@ -426,14 +422,15 @@ def pictures(weighing: Weighing, candidates: Sequence[Candidate], after: Weighed
         "heat": {"channels": [c.name for c in observed.channels], "segments": list(observed.labels), "values": heat},
         "confusability": {"effects": names, "shares": shares.tolist()},
         "means": {"segments": list(observed.labels), "channels": means},
-        "spectrum": _spectra(weighing, after, amplitudes),
+        "spectrum": _spectra(weighing, explained),
     }
 
 
-def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None) -> JsonObject:
+def _spectra(weighing: Weighing, explained: Sequence[Array] | None) -> JsonObject:
     """Returns the one-sided amplitude spectral density in each frequency band, before and after the effect is fitted, and the
     density of the white noise. Segment means are not included, because their frequency is zero. If the bins of the segments have
-    different sizes, only the segments with the largest bins are used. The spectrum then ends at half the rate of these bins."""
+    different sizes, only the segments with the largest bins are used. The spectrum then ends at half the rate of these bins.
+    `explained`: for each channel, the whitened coefficients (M,) that the effect explains; None if there is no effect."""
     observed, spectrum = weighing.observed, weighing.spectrum
     size = observed.bin_size.max()
     shown = observed.bin_size == size
@@ -446,7 +443,7 @@ def _spectra(weighing: Weighing, after: Weighed | None, amplitudes: Array | None
     for index, channel in enumerate(observed.channels):
         scale = np.sqrt(2 / observed.sample_rate) / channel.factor
         level, residual = float(weighing.white[index]), weighing.weights[index][0].residual
-        rest = residual if after is None or amplitudes is None else residual - after.by_channel[index] @ amplitudes
+        rest = residual if explained is None else residual - explained[index]
         outside = spectrum.energy[shown][:, :, index].sum(0)
         curves = [
             outside + np.bincount(band, (level * values[within]) ** 2, len(middle)) for values in (residual, rest)

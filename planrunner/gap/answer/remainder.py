@@ -100,10 +100,10 @@ def remainder(weighing: Weighing, named: Weighed, something_else: bool = False) 
     times: dict[str, float] = {}
     sigma: dict[str, float] = {}
     smallest = 1.0
-    for index, channel in enumerate(weighing.observed.channels):
+    for index, (channel, columns) in enumerate(zip(weighing.observed.channels, named.by_channel, strict=True)):
         weight = weighing.weights[index][0]
         degrees = max(len(weight.residual) - weight.basis.shape[1], 1)
-        rest = weight.residual - named.by_channel[index] @ amplitudes
+        rest = weight.residual - columns @ amplitudes
         squares = float(rest @ rest)
         before += float(weight.residual @ weight.residual) - degrees
         after += squares - degrees

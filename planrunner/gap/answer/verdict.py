@@ -38,7 +38,8 @@ _RIDGE = 1e-9
 def fitted(weighed: Weighed) -> list[Array]:
     """Returns the signature of an effect at its fitted amplitudes, an array of shape (M,) for each channel. The signature is
     whitened, and the part that the nominal parameters absorb is projected out."""
-    return [block @ weighed.amplitudes[0] for block in weighed.by_channel]
+    amplitudes, _ = weighed.amplitudes
+    return [block @ amplitudes for block in weighed.by_channel]
 
 
 def energy(signature: Sequence[Array]) -> float:

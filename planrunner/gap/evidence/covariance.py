@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,77 +34,110 @@ _LEAST = 1e-3  # smallest fraction of a coefficient's variance that the other co
 
 
 @dataclass(frozen=True)
+class Layout:
+    """Describes how the M coefficients of a channel are divided among the S segments. Segments with the same number of coefficients form
+    a group. `rows`: for each group of n segments with m coefficients, the indices of these coefficients, shape (n, m). `place`: for
+    each segment, the index of its group, and its index in this group."""
+
+    rows: tuple[NDArray[np.int64], ...]
+    place: tuple[tuple[int, int], ...]
+
+    @staticmethod
+    @lru_cache(maxsize=8)
+    def of(size: tuple[int, ...]) -> Layout:
+        """Returns the layout for segments with these numbers of coefficients."""
+        first = np.cumsum([0, *size[:-1]])
+        sizes = sorted(set(size))
+        members = [np.flatnonzero(np.array(size) == count) for count in sizes]
+        place = [(0, 0)] * len(size)
+        for group, own in enumerate(members):
+            for number, segment in enumerate(own.tolist()):
+                place[segment] = group, number
+        rows = (first[own][:, None] + np.arange(count) for own, count in zip(members, sizes, strict=True))
+        return Layout(tuple(rows), tuple(place))
+
+
+@dataclass(frozen=True)
 class Blocks:
     """Contains one matrix for each of S segments, such as the covariance of the coefficients of the segment. `size`: number of
-    coefficients of each segment. `matrix`: array of shape (S, m, m), the matrices, padded with the identity to the size m of the
-    largest one."""
+    coefficients of each segment. `matrices`: for each group of n segments with m coefficients (`Layout`), an array of shape (n, m,
+    m)."""
 
-    size: Sequence[int]
-    matrix: Array
+    size: tuple[int, ...]
+    matrices: tuple[Array, ...]
 
     @classmethod
     def diagonal(cls, size: Sequence[int], value: Array) -> Blocks:
         """Makes diagonal blocks with one value for each of the S segments."""
-        whole = np.tile(np.eye(max(size)), (len(size), 1, 1))
-        inside = np.arange(max(size)) < np.asarray(size)[:, None]
-        return cls(size, whole * np.where(inside, value[:, None], 1.0)[:, None, :])
+        made = cls(tuple(size), tuple(np.zeros((*own.shape, own.shape[1])) for own in Layout.of(tuple(size)).rows))
+        return made.plus(np.repeat(value, size))
+
+    @property
+    def layout(self) -> Layout:
+        return Layout.of(self.size)
 
     def of_segment(self, index: int) -> Array:
-        """Returns the block of one segment as a view, shape (n, n)."""
-        return self.matrix[index, : self.size[index], : self.size[index]]
+        """Returns the block of one segment as a view, shape (m, m)."""
+        group, number = self.layout.place[index]
+        return np.asarray(self.matrices[group][number])
 
     @property
     def variances(self) -> Array:
         """Returns the diagonal in the order of the coefficients, shape (M,)."""
-        return np.concatenate([np.diag(self.of_segment(index)) for index in range(len(self.size))])
+        out = np.empty(sum(self.size))
+        for rows, own in zip(self.layout.rows, self.matrices, strict=True):
+            out[rows] = np.diagonal(own, axis1=1, axis2=2)
+        return out
 
     @property
     def correlated(self) -> bool:
         """Returns True if any block has values outside its diagonal."""
-        return bool((self.matrix - self.matrix * np.eye(self.matrix.shape[1])).any())
+        return any(bool((own - own * np.eye(own.shape[1])).any()) for own in self.matrices)
 
     def times(self, value: float) -> Blocks:
         """Returns the blocks multiplied by a number."""
-        return Blocks(self.size, self.matrix * value)
+        return Blocks(self.size, tuple(own * value for own in self.matrices))
 
     def scaled(self, factors: Array) -> Blocks:
         """Returns the covariances after the coefficients have been multiplied by factors (M,)."""
-        made = Blocks(self.size, self.matrix.copy())
-        for index, own in enumerate(np.split(factors, np.cumsum(self.size)[:-1])):
-            made.of_segment(index)[:] *= np.outer(own, own)
-        return made
+        each = zip(self.matrices, (factors[rows] for rows in self.layout.rows), strict=True)
+        return Blocks(self.size, tuple(own * (by[:, :, None] * by[:, None, :]) for own, by in each))
 
     def joined(self, other: Blocks) -> Blocks:
         """Returns the sum of the covariances of two independent processes with the same coefficients."""
-        made = Blocks(self.size, self.matrix.copy())
-        for index in range(len(self.size)):
-            made.of_segment(index)[:] += other.of_segment(index)
-        return made
+        return Blocks(self.size, tuple(a + b for a, b in zip(self.matrices, other.matrices, strict=True)))
 
     def plus(self, variances: Array) -> Blocks:
         """Returns the blocks after variances (M,) have been added to the diagonal."""
-        made, first = Blocks(self.size, self.matrix.copy()), 0
-        for index, count in enumerate(self.size):
-            at = np.arange(count)
-            made.matrix[index, at, at] += variances[first : first + count]
-            first += count
+        made = Blocks(self.size, tuple(own.copy() for own in self.matrices))
+        for rows, own in zip(self.layout.rows, made.matrices, strict=True):
+            at = np.arange(own.shape[1])
+            own[:, at, at] += variances[rows]
         return made
 
 
 class Correlation:
     """Contains the correlations between the M coefficients of a channel. `apart` converts standardised coefficients, which have the
-    variance 1, to independent coefficients. `joined` does the inverse."""
+    variance 1, to independent coefficients. `joined` does the inverse. `covariance`: the covariances of the coefficients. `rows`:
+    array of shape (M,); if it is given, the coefficients for which it is False count as independent of all others."""
 
-    def __init__(self, covariance: Blocks):
-        root = np.sqrt(np.diagonal(covariance.matrix, axis1=1, axis2=2))
-        self._matrix = covariance.matrix / (root[:, :, None] * root[:, None, :])
-        self._matrix = (1 - _LEAST) * self._matrix + _LEAST * np.eye(root.shape[1])
-        inside = np.arange(root.shape[1]) < np.asarray(covariance.size)[:, None]
-        self._rows: NDArray[np.int64] = np.where(inside, np.cumsum(inside).reshape(inside.shape) - 1, -1)
-        self._inside, self.count = inside, int(inside.sum())
-        self._factor = np.linalg.cholesky(self._matrix)
-        self._inverse = np.linalg.inv(self._factor)
-        self.log_det = 2 * float(np.log(np.diagonal(self._factor, axis1=1, axis2=2)).sum())
+    def __init__(self, covariance: Blocks, rows: NDArray[np.bool_] | None = None):
+        self._covariance, self._chosen = covariance, rows
+        factors = [np.linalg.cholesky(own) for own in self._matrices()]
+        self._inverse: list[Array] = [np.asarray(np.linalg.inv(own)) for own in factors]
+        self.log_det = 2 * sum(float(np.log(np.diagonal(own, axis1=1, axis2=2)).sum()) for own in factors)
+
+    def _matrices(self) -> list[Array]:
+        """Returns the correlation matrices of each group of segments, shape (n, m, m)."""
+        found = []
+        for rows, own in zip(self._covariance.layout.rows, self._covariance.matrices, strict=True):
+            root, identity = np.sqrt(np.diagonal(own, axis1=1, axis2=2)), np.eye(own.shape[1])
+            matrix = (1 - _LEAST) * (own / (root[:, :, None] * root[:, None, :])) + _LEAST * identity
+            if self._chosen is not None:
+                both = self._chosen[rows][:, :, None] & self._chosen[rows][:, None, :]
+                matrix = np.where(both, matrix, identity)
+            found.append(matrix)
+        return found
 
     def apart(self, columns: Array) -> Array:
         """Converts standardised coefficients (M, …) to independent ones."""
@@ -111,37 +145,73 @@ class Correlation:
 
     def joined(self, columns: Array) -> Array:
         """Converts independent coefficients (M, …) to standardised ones."""
-        return self._times(self._factor, columns)
+        factors = [np.asarray(np.linalg.cholesky(own)) for own in self._matrices()]
+        return self._times(factors, columns)
 
     def apart_transposed(self, columns: Array) -> Array:
         """Multiplies columns (M, …) by the transpose of the matrix by which `apart` multiplies them."""
-        return self._times(np.swapaxes(self._inverse, 1, 2), columns)
+        return self._times([np.swapaxes(own, 1, 2) for own in self._inverse], columns)
 
-    def whole(self) -> Array:
-        """Returns the correlation matrix (M, M)."""
-        out = np.zeros((self.count, self.count))
-        for rows, inside, block in zip(self._rows, self._inside, self._matrix, strict=True):
-            own = rows[inside]
-            out[np.ix_(own, own)] = block[: len(own), : len(own)]
+    def between(self, chosen: NDArray[np.int64]) -> Array:
+        """Returns the correlation matrix (n, n) of the coefficients with the indices `chosen` (n,)."""
+        place = np.full(sum(self._covariance.size), -1)
+        place[chosen] = np.arange(len(chosen))
+        out = np.zeros((len(chosen), len(chosen)))
+        for rows, matrices in zip(self._covariance.layout.rows, self._matrices(), strict=True):
+            for at, matrix in zip(place[rows], matrices, strict=True):
+                own = at >= 0
+                out[np.ix_(at[own], at[own])] = matrix[np.ix_(own, own)]
         return out
 
     def among(self, rows: NDArray[np.bool_]) -> Correlation:
         """Returns the correlations between the rows that a mask (M,) selects. This method is used with coefficients (M, …) that are
         zero in all other rows."""
-        made = Correlation.__new__(Correlation)
-        made._rows, made._inside, made.count = self._rows, self._inside, self.count
-        chosen = rows[self._rows] & self._inside
-        both = chosen[:, :, None] & chosen[:, None, :]
-        made._matrix = np.where(both, self._matrix, np.eye(self._matrix.shape[1]))
-        made._factor = np.linalg.cholesky(made._matrix)
-        made._inverse = np.linalg.inv(made._factor)
-        made.log_det = 2 * float(np.log(np.diagonal(made._factor, axis1=1, axis2=2)).sum())
-        return made
+        return Correlation(self._covariance, rows)
 
-    def _times(self, matrices: Array, columns: Array) -> Array:
+    def _times(self, matrices: Sequence[Array], columns: Array) -> Array:
         flat = columns.reshape(len(columns), -1)
-        padded = np.where(self._inside[:, :, None], flat[self._rows], 0.0)
-        return np.asarray((matrices @ padded)[self._inside].reshape(columns.shape))
+        out = np.empty(flat.shape)
+        for rows, own in zip(self._covariance.layout.rows, matrices, strict=True):
+            out[rows] = own @ flat[rows]
+        return out.reshape(columns.shape)
+
+
+@dataclass(frozen=True)
+class MeansCovariance:
+    """Contains the covariance of the S segment means of a channel, as the sum of three parts, SI². Only their sizes are stored, because
+    there are many levels of the noise. `slow`: slow noise of unit size. `independent`: array of shape (S,), variances of the
+    independent noise. `flicker`, `walk`: squares of the sizes of the flicker and of the random walk."""
+
+    slow: SlowNoise
+    independent: Array
+    flicker: float
+    walk: float
+
+    def whole(self) -> Array:
+        """Returns the covariance, shape (S, S)."""
+        out = np.diag(self.independent)
+        for size, own in ((self.flicker, self.slow.flicker), (self.walk, self.slow.random_walk)):
+            if size != 0:
+                out += size * own
+        return out
+
+    @property
+    def variances(self) -> Array:
+        """Returns the variance of each mean, shape (S,)."""
+        slow = self.flicker * np.diag(self.slow.flicker) + self.walk * np.diag(self.slow.random_walk)
+        return np.asarray(self.independent + slow)
+
+    def times(self, ratio: float) -> MeansCovariance:
+        return MeansCovariance(self.slow, self.independent * ratio, self.flicker * ratio, self.walk * ratio)
+
+    def towards(self, other: MeansCovariance, share: float) -> MeansCovariance:
+        """Returns the covariance C + share·(C′ − C), where C is this covariance and C′ is the covariance `other`."""
+        independent = self.independent + share * (other.independent - self.independent)
+        flicker, walk = (
+            self.flicker + share * (other.flicker - self.flicker),
+            self.walk + share * (other.walk - self.walk),
+        )
+        return MeansCovariance(self.slow, independent, flicker, walk)
 
 
 def ornstein_uhlenbeck(starts: Array, ends: Array, tau: float) -> Array:
@@ -264,9 +334,12 @@ class WalkAcross:
         found[index, index] = before + own
         return np.asarray(found)
 
-    def dense(self) -> Array:
-        """Returns the covariances, shape (S, M)."""
-        return self.product(np.eye(len(self.own)))
+    def between(self, segments: NDArray[np.int64], chosen: NDArray[np.int64]) -> Array:
+        """Returns the covariances of the means of some segments (s,) with the coefficients that have the indices `chosen` (n,), shape (s,
+        n)."""
+        owner = np.searchsorted(self.first, chosen, side="right") - 1
+        later = np.where(segments[:, None] > owner, self.afterwards[chosen], 0.0)
+        return np.where(segments[:, None] == owner, self.own[chosen], later)
 
 
 @dataclass(frozen=True)

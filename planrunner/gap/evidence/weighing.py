@@ -36,7 +36,14 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Column
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.bayes_factors import RANGE, STRONGEST, WEAKEST
-from planrunner.gap.evidence.covariance import Blocks, Correlation, SlowNoise, WalkAcross, flicker_spectrum
+from planrunner.gap.evidence.covariance import (
+    Blocks,
+    Correlation,
+    MeansCovariance,
+    SlowNoise,
+    WalkAcross,
+    flicker_spectrum,
+)
 from planrunner.gap.evidence.noise_within import NoiseWithin
 from planrunner.gap.evidence.spectrum import Spectrum
 
@@ -167,26 +174,24 @@ class ChannelWeights:
         declared = observed.channels[channel]
         counts = observed.counts.astype(float)
         within = relative.times(white**2)
-        covariance = np.diag(within.variances[spectrum.means] / counts)
+        independent = within.variances[spectrum.means] / counts
         if undithered > 0:
-            covariance += np.diag(undithered * _sharing(spectrum.readings[:, channel], declared.resolution))
+            independent += undithered * _sharing(spectrum.readings[:, channel], declared.resolution)
         level = flicker * declared.flicker
         tail = undithered * counts[spectrum.segment] / 4
         measured = noise.coloured[noise.moving[spectrum.segment], channel]
         if level > 0:
-            covariance += level**2 * slow.flicker
             tail += level**2 * observed.sample_rate / 2 * _beyond_measured(spectrum, noise.lowest, measured)
         across: WalkAcross | None = None
         self.walk_within: Array = np.zeros(len(spectrum.segment))
         if walk > 0:
             walking = slow.walk_within.times(walk**2)
             within = _besides(walking, within, measured).joined(walking)
-            covariance += walk**2 * slow.random_walk
             across = slow.walk_across.times(walk**2)
             self.walk_within = np.where(spectrum.frequency > 0, walking.variances, 0.0)
         within = within.plus(tail)
         self.walk = walk
-        self._covariance = covariance
+        self._covariance = MeansCovariance(slow, independent, level**2, walk**2)
         self.segment = spectrum.segment
         self._means = spectrum.means
         self._order_0 = spectrum.frequency == 0
@@ -196,7 +201,7 @@ class ChannelWeights:
         self._predicted: WalkAcross | None = None
         self._inverse: Array | None = None
         if level == 0 and walk == 0:
-            self.scale[self._means] = 1 / (np.sqrt(np.diag(covariance)) * self._root)
+            self.scale[self._means] = 1 / (np.sqrt(independent) * self._root)
         self._within = within if within.correlated else None
         self._correlation = None if self._within is None else Correlation(self._within)
         self._fit(nominal, spectrum.values[:, channel], jointly=level > 0 or walk > 0)
@@ -206,7 +211,7 @@ class ChannelWeights:
         means are whitened jointly, because slow noise correlates them."""
         if jointly:
             self.scale[self._means] = 1.0
-            covariance = self._covariance
+            covariance = self._covariance.whole()
             if self._across is not None:
                 self._predicted = self._across.of(self._within_segments(self._across.columns))
                 covariance = covariance - self._predicted.squared()
@@ -232,7 +237,7 @@ class ChannelWeights:
         as long as the result is a covariance. `nominal`: array of shape (M, q), nominal columns. `values`: array of shape (M,) in
         SI units, coefficients of the channel."""
         made = copy(self)
-        made._covariance = self._covariance + share * (other._covariance - self._covariance)
+        made._covariance = self._covariance.towards(other._covariance, share)
         variance = 1 / self.scale**2
         change = share * (1 / other.scale**2 - variance)
         made.scale = 1 / np.sqrt(variance + change)
@@ -274,7 +279,7 @@ class ChannelWeights:
     def inflated(self, ratio: float) -> ChannelWeights:
         """Returns a copy in which the variance of the noise has been multiplied by `ratio`."""
         made, root = copy(self), float(np.sqrt(ratio))
-        made._covariance = self._covariance * ratio
+        made._covariance = self._covariance.times(ratio)
         made.scale = self.scale / root
         made._inverse = None if self._inverse is None else self._inverse / root
         made._across = None if self._across is None else self._across.times(ratio)
@@ -289,16 +294,23 @@ class ChannelWeights:
         chosen = np.flatnonzero(rows)
         out = np.diag(1 / self.scale[chosen] ** 2)
         if self._correlation is not None:
-            out = self._correlation.whole()[np.ix_(chosen, chosen)] / np.outer(self.scale[chosen], self.scale[chosen])
+            out = self._correlation.between(chosen) / np.outer(self.scale[chosen], self.scale[chosen])
         at = np.flatnonzero(np.isin(chosen, self._means))
         owners = self.segment[chosen[at]]
-        out[np.ix_(at, at)] = self._covariance[np.ix_(owners, owners)] * np.outer(
+        out[np.ix_(at, at)] = self._covariance.whole()[np.ix_(owners, owners)] * np.outer(
             self._root[owners], self._root[owners]
         )
         if self._across is not None:
-            across = self._across.dense()[np.ix_(owners, chosen)] * self._root[owners, None]
+            across = self._across.between(owners, chosen) * self._root[owners, None]
             out[at] += across
             out[:, at] += across.T
+        return out
+
+    @property
+    def variances(self) -> Array:
+        """Returns the variance of each coefficient, shape (M,), in SI²·samples."""
+        out = np.asarray(1 / self.scale**2)
+        out[self._means] = self._covariance.variances * self._root**2
         return out
 
     def whitening(self, rows: NDArray[np.bool_]) -> Callable[[Array], Array]:
@@ -320,7 +332,7 @@ class ChannelWeights:
             full[chosen] = columns
             return full
 
-        covariance, predicted = self._covariance[np.ix_(owners, owners)], None
+        covariance, predicted = self._covariance.whole()[np.ix_(owners, owners)], None
         if self._across is not None:
             predicted = self._across.of(everywhere(within_segments(self._across.columns[chosen])))
             covariance = covariance - predicted.squared()[np.ix_(owners, owners)]
@@ -381,8 +393,7 @@ class ChannelWeights:
     def gap_and_noise(self) -> tuple[float, float]:
         """Returns the sum of squares of the residual before whitening, and its expectation for noise alone, SI²·samples."""
         basis = self.unwhiten(self.basis)
-        every = np.ones(len(self.scale), dtype=bool)
-        whole = float((1 / self.scale**2).sum()) if self._inverse is None else float(np.trace(self.covariance(every)))
+        whole = float(self.variances.sum())
         gap = self.unwhiten(self.residual[:, None])
         return float((gap**2).sum()), whole - float((basis**2).sum())
 

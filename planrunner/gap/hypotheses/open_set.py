@@ -285,11 +285,10 @@ class Repeating:
         self._root = np.sqrt(observed.counts)
         self._run = float(self.ends[-1] - self.starts[0])
         self.frequencies = np.arange(2, min(4 * CYCLES * len(self.starts), MOST + 2)) / (4 * self._run)
-        self._coarse = self.waves(self.frequencies, WAVEFORM)
 
     def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> list[float]:
         """Returns the log Bayes factor of a bias with an unknown period in the channels of each scope."""
-        parts = [self._eigen(left, self._coarse, (2, 2 * WAVEFORM)) for left in channels]
+        parts = self._eigen(channels, self.frequencies, WAVEFORM, (2, 2 * WAVEFORM))
         found = []
         for scope in scopes:
             sine, smooth = (_evidence([parts[index][form] for index in scope]) for form in (0, 1))
@@ -305,8 +304,7 @@ class Repeating:
         near these periods. In the mean over the finer grid, all other periods count with a Bayes factor of zero."""
         steps = (np.arange(FINER) - (FINER - 1) / 2) / FINER
         near = (self.frequencies[peaks, None] + steps / (4 * self._run)).ravel()
-        waves = self.waves(near, EDGED)
-        each = _evidence([self._eigen(left, waves, (2 * EDGED,))[0] for left in channels])
+        each = _evidence([found for (found,) in self._eigen(channels, near, EDGED, (2 * EDGED,))])
         return float(log_mean_exp(each, 0) + np.log(len(near) / (FINER * len(self.frequencies))))
 
     def waves(self, frequencies: Array, harmonics: int) -> Array:
@@ -321,19 +319,28 @@ class Repeating:
         raw /= np.broadcast_to(orders, pulses.shape).ravel()
         return raw.view(float).reshape(len(self.rows), *pulses.shape, 2)
 
-    def _eigen(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
-        """Returns one item for each number n in `counts`: the eigenvalues (F, n) and the squared scores (F, n) of the first n
-        columns at each of F frequencies. `waves`: the columns that `waves` returns. They are whitened in parts, because whitening needs
-        several times the memory of its columns."""
-        parts = np.array_split(waves, min(-(-waves[:, :, :, 0].size // _AT_ONCE), waves.shape[1]), axis=1)
-        each = [self._of_part(left, part, counts) for part in parts]
+    def _eigen(
+        self, channels: Sequence[Left], frequencies: Array, harmonics: int, counts: Sequence[int]
+    ) -> list[list[Eigen]]:
+        """Returns, for each channel, one item for each number n in `counts`: the eigenvalues (F, n) and the squared scores (F, n) of
+        the first n columns at each of F frequencies. The columns are those that `waves` returns. Only the waves of a few
+        frequencies are in memory at a time, because all waves and their whitened values need much memory."""
+        size = len(self.rows) * len(frequencies) * harmonics
+        parts = np.array_split(frequencies, min(-(-size // _AT_ONCE), len(frequencies)))
+        each = []
+        for part in parts:
+            waves = self.waves(part, harmonics)
+            each.append([self._of_part(left, waves, counts) for left in channels])
         return [
-            (np.concatenate([a for a, _ in one]), np.concatenate([b for _, b in one]))
-            for one in zip(*each, strict=True)
+            [
+                (np.concatenate([values for values, _ in own]), np.concatenate([along for _, along in own]))
+                for own in zip(*of_channel, strict=True)
+            ]
+            for of_channel in zip(*each, strict=True)
         ]
 
     def _of_part(self, left: Left, waves: Array, counts: Sequence[int]) -> list[Eigen]:
-        """Does the same as `_eigen`, with all waves at once."""
+        """Does the same as `_eigen` for one channel and for the frequencies of the columns `waves`."""
         periods = waves.shape[1]
         at, whitened = left.whitened(waves.reshape(len(self.rows), -1), self.rows)
         size = whitened.shape[1] // periods
