@@ -34,7 +34,7 @@ _LEAST = 1e-3  # smallest fraction of a coefficient's variance that the other co
 
 
 @dataclass(frozen=True)
-class Layout:
+class SegmentRows:
     """Describes how the M coefficients of a channel are divided among the S segments. Segments with the same number of coefficients form
     a group. `rows`: for each group of n segments with m coefficients, the indices of these coefficients, shape (n, m). `place`: for
     each segment, the index of its group, and its index in this group."""
@@ -44,8 +44,8 @@ class Layout:
 
     @staticmethod
     @lru_cache(maxsize=8)
-    def of(size: tuple[int, ...]) -> Layout:
-        """Returns the layout for segments with these numbers of coefficients."""
+    def of(size: tuple[int, ...]) -> SegmentRows:
+        """Makes the description for segments with these numbers of coefficients."""
         first = np.cumsum([0, *size[:-1]])
         sizes = sorted(set(size))
         members = [np.flatnonzero(np.array(size) == count) for count in sizes]
@@ -54,13 +54,13 @@ class Layout:
             for number, segment in enumerate(own.tolist()):
                 place[segment] = group, number
         rows = (first[own][:, None] + np.arange(count) for own, count in zip(members, sizes, strict=True))
-        return Layout(tuple(rows), tuple(place))
+        return SegmentRows(tuple(rows), tuple(place))
 
 
 @dataclass(frozen=True)
 class Blocks:
     """Contains one matrix for each of S segments, such as the covariance of the coefficients of the segment. `size`: number of
-    coefficients of each segment. `matrices`: for each group of n segments with m coefficients (`Layout`), an array of shape (n, m,
+    coefficients of each segment. `matrices`: for each group of n segments with m coefficients (`SegmentRows`), an array of shape (n, m,
     m)."""
 
     size: tuple[int, ...]
@@ -69,23 +69,23 @@ class Blocks:
     @classmethod
     def diagonal(cls, size: Sequence[int], value: Array) -> Blocks:
         """Makes diagonal blocks with one value for each of the S segments."""
-        made = cls(tuple(size), tuple(np.zeros((*own.shape, own.shape[1])) for own in Layout.of(tuple(size)).rows))
+        made = cls(tuple(size), tuple(np.zeros((*own.shape, own.shape[1])) for own in SegmentRows.of(tuple(size)).rows))
         return made.plus(np.repeat(value, size))
 
     @property
-    def layout(self) -> Layout:
-        return Layout.of(self.size)
+    def segment_rows(self) -> SegmentRows:
+        return SegmentRows.of(self.size)
 
     def of_segment(self, index: int) -> Array:
         """Returns the block of one segment as a view, shape (m, m)."""
-        group, number = self.layout.place[index]
+        group, number = self.segment_rows.place[index]
         return np.asarray(self.matrices[group][number])
 
     @property
     def variances(self) -> Array:
         """Returns the diagonal in the order of the coefficients, shape (M,)."""
         out = np.empty(sum(self.size))
-        for rows, own in zip(self.layout.rows, self.matrices, strict=True):
+        for rows, own in zip(self.segment_rows.rows, self.matrices, strict=True):
             out[rows] = np.diagonal(own, axis1=1, axis2=2)
         return out
 
@@ -100,7 +100,7 @@ class Blocks:
 
     def scaled(self, factors: Array) -> Blocks:
         """Returns the covariances after the coefficients have been multiplied by factors (M,)."""
-        each = zip(self.matrices, (factors[rows] for rows in self.layout.rows), strict=True)
+        each = zip(self.matrices, (factors[rows] for rows in self.segment_rows.rows), strict=True)
         return Blocks(self.size, tuple(own * (by[:, :, None] * by[:, None, :]) for own, by in each))
 
     def joined(self, other: Blocks) -> Blocks:
@@ -110,7 +110,7 @@ class Blocks:
     def plus(self, variances: Array) -> Blocks:
         """Returns the blocks after variances (M,) have been added to the diagonal."""
         made = Blocks(self.size, tuple(own.copy() for own in self.matrices))
-        for rows, own in zip(self.layout.rows, made.matrices, strict=True):
+        for rows, own in zip(self.segment_rows.rows, made.matrices, strict=True):
             at = np.arange(own.shape[1])
             own[:, at, at] += variances[rows]
         return made
@@ -130,7 +130,7 @@ class Correlation:
     def _matrices(self) -> list[Array]:
         """Returns the correlation matrices of each group of segments, shape (n, m, m)."""
         found = []
-        for rows, own in zip(self._covariance.layout.rows, self._covariance.matrices, strict=True):
+        for rows, own in zip(self._covariance.segment_rows.rows, self._covariance.matrices, strict=True):
             root, identity = np.sqrt(np.diagonal(own, axis1=1, axis2=2)), np.eye(own.shape[1])
             matrix = (1 - _LEAST) * (own / (root[:, :, None] * root[:, None, :])) + _LEAST * identity
             if self._chosen is not None:
@@ -157,7 +157,7 @@ class Correlation:
         place = np.full(sum(self._covariance.size), -1)
         place[chosen] = np.arange(len(chosen))
         out = np.zeros((len(chosen), len(chosen)))
-        for rows, matrices in zip(self._covariance.layout.rows, self._matrices(), strict=True):
+        for rows, matrices in zip(self._covariance.segment_rows.rows, self._matrices(), strict=True):
             for at, matrix in zip(place[rows], matrices, strict=True):
                 own = at >= 0
                 out[np.ix_(at[own], at[own])] = matrix[np.ix_(own, own)]
@@ -171,7 +171,7 @@ class Correlation:
     def _times(self, matrices: Sequence[Array], columns: Array) -> Array:
         flat = columns.reshape(len(columns), -1)
         out = np.empty(flat.shape)
-        for rows, own in zip(self._covariance.layout.rows, matrices, strict=True):
+        for rows, own in zip(self._covariance.segment_rows.rows, matrices, strict=True):
             out[rows] = own @ flat[rows]
         return out.reshape(columns.shape)
 
