@@ -13,18 +13,15 @@ from planrunner.gap.answer.diagnosis import hypotheses
 from planrunner.gap.evidence.weighing import inner_products, table_of
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
-from tests.gap import turntable
+from tests.gap.turntable import record
 
 EFFECTS = ("gyro_bias_step", "accel_bias_step", "mount_shift", "gyro_g_sensitivity", "gyro_saturation", "gyro_warm_up")
 
 
-def stored(repeats: int, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int, int]:
+def stored(repeats: int) -> tuple[int, int, int]:
     """Bytes of the prepared recording and of the evaluated effects, and the number of coefficients of a channel, if the plan is
     repeated."""
-    rows = turntable.plan()
-    with monkeypatch.context() as patched:
-        patched.setattr(turntable, "plan", lambda: rows * repeats)
-        observed = turntable.record(seed=4, sampling=4.0)
+    observed = record(seed=4, sampling=4.0, repeats=repeats)
     effects = hypotheses(EFFECTS)
     tracemalloc.start()
     weighing = Weighing(observed)
@@ -36,11 +33,11 @@ def stored(repeats: int, monkeypatch: pytest.MonkeyPatch) -> tuple[int, int, int
     return prepared, both - prepared, len(weighing.spectrum.segment)
 
 
-def test_the_memory_grows_linearly_with_the_segments(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_memory_grows_linearly_with_the_segments() -> None:
     """41 and 164 segments. The prepared recording contains one matrix of the segment means for each level of a random walk, of each
     gyro; all other stored numbers grow linearly."""
-    stored(1, monkeypatch)  # loads everything that is loaded only once
-    few, many = stored(1, monkeypatch), stored(4, monkeypatch)
+    stored(1)  # loads everything that is loaded only once
+    few, many = stored(1), stored(4)
     assert many[2] == 4 * few[2]
     assert many[1] < 5 * few[1]
     matrices = [8 * 3 * 13 * segments**2 for segments in (41, 164)]
@@ -49,7 +46,7 @@ def test_the_memory_grows_linearly_with_the_segments(monkeypatch: pytest.MonkeyP
 
 def test_steps_share_their_coefficients() -> None:
     """All moments of a step at the boundaries of segments have the same coefficients, in a different number of segments."""
-    weighing = Weighing(turntable.record(seed=4, sampling=4.0))
+    weighing = Weighing(record(seed=4, sampling=4.0))
     (candidate,) = candidates_of(weighing, hypotheses(["gyro_bias_step"]))
     parts = [own for form in candidate.variants for column in form.variant.columns for own in column.parts.values()]
     assert len(parts) > 3 * 40

@@ -44,12 +44,17 @@ def plan() -> list[tuple[Array, Motion, float, float]]:
 
 
 def record(
-    seed: int = 1, fault: Fault | None = None, noise: float = 1.0, sampling: float = RATE, clean: bool = False
+    seed: int = 1,
+    fault: Fault | None = None,
+    noise: float = 1.0,
+    sampling: float = RATE,
+    clean: bool = False,
+    repeats: int = 1,
 ) -> Observed:
     """A recording with unknown matrices and biases, white noise and rounding, or with neither; `fault` gives what is added to rate and
-    specific force."""
+    specific force. `repeats`: how often the plan is carried out."""
     draw = np.random.default_rng(seed)
-    rows = plan()
+    rows = plan() * repeats
     n = [int(seconds * sampling) for _, _, seconds, _ in rows]
     since = [np.arange(count) / sampling for count in n]
     starts = 600.0 + np.concatenate(([0.0], np.cumsum([seconds + 20.0 for _, _, seconds, _ in rows])[:-1]))
