@@ -131,4 +131,6 @@ def _print_motion(look: Look, motion: TurnComparison) -> None:
         print(*axes_note(motion.axes), sep="\n")
     named = next((one.unit for one in look.channels if one.sensed == "gyro" and one.source == "name"), motion.unit)
     if named != motion.unit and not any(one.counts for one in look.channels):
-        print(f"the names of the gyros say {named}, but the turns that the accelerometers show fit {motion.unit}")
+        print(
+            f"the columns of the gyros name the unit {named}, but the turns that the accelerometers show agree with {motion.unit}"
+        )

@@ -232,9 +232,7 @@ class Look:
         fitting = usual_unit("accel", level)
         if not fitting or fitting == named:
             return ""
-        return (
-            f"the names of the accelerometers say {named}, but their vector at rest is as long as gravity in {fitting}"
-        )
+        return f"the columns of the accelerometers name the unit {named}, but their vector at rest has the length of gravity in {fitting}"
 
     @property
     def still_share(self) -> float:

@@ -564,7 +564,7 @@ def test_a_slow_recording_at_rest_is_at_rest(tmp_path: Path, capsys: pytest.Capt
     [
         (
             "t[s],wx[dps],wy[dps],wz[dps],ax[g],ay[g],az[g]",
-            "say g, but their vector at rest is as long as gravity in m/s^2",
+            "name the unit g, but their vector at rest has the length of gravity in m/s^2",
         ),
         ("t[ms],wx,wy,wz,ax,ay,az", "the unit leads to an unusual sample rate: check it"),
     ],
