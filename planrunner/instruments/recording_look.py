@@ -82,6 +82,7 @@ _ALIKE_SPREAD, _MOST_SPREAD = 0.01, 3.0
 deviation of all columns, the columns may be accelerometers."""
 _ALIKE_NOISE = math.log(2.5)  # logarithm of the ratio between the noises of the axes of one sensor
 _DIRECTIONS = 15.0  # deg between two poses that count as different
+_OF_MEANS = re.compile(r"(?:^|[^a-z])(?:mean|average|mittel\w*)(?:[^a-z]|$)", re.IGNORECASE)
 _NAME = re.compile(r"[^A-Za-z0-9_]+")
 
 
@@ -273,6 +274,8 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
         if rate is None and time is None:
             message = "no column of this recording looks like a time that increases"
             hint = "state the sample rate, such as --sample-rate '100 Hz'"
+            if any(_OF_MEANS.search(column) for column in columns):
+                hint = f"{hint}. For a table of means, see docs/real-recordings.md (key `summary`)"
             if unread:
                 message = f"{message}; {next(iter(unread.values()))}"
                 hint = f"correct the file, or {hint}"
@@ -302,6 +305,7 @@ def look_at(path: Path, rate: float | None = None, notice: Announce | None = Non
             message, hint = f"no gyro or accelerometer can be read: {next(iter(unread.values()))}", "correct the file"
         raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
     samples = max(counts[one.column] for one in guesses if one.sensed in ("gyro", "accel"))
+    _complete_rows(path, guesses, first)
     sparse = tuple(one.column for one in guesses if one.sensed and counts[one.column] < _SPARSE * samples)
     sensed = [one for one in guesses if one.sensed and one.column not in sparse]
     still = _still(
@@ -346,6 +350,21 @@ def _one_sensor_a_row(file: AnyFile, columns: Sequence[str]) -> None:
         )
         hint = "write one file for each sensor, or a table in which each row contains all sensors"
         raise InstrumentError(f"{message}; {hint}")
+
+
+def _complete_rows(path: Path, guesses: Sequence[Guess], first: Mapping[str, Array]) -> None:
+    """Raises `InputError` if no row contains both a number of a gyro and a number of an accelerometer, because each row belongs to one
+    of the two sensors. `first`: the first rows of each column."""
+    gyro, accel = (
+        [np.isfinite(first[one.column]) for one in guesses if one.sensed == sensed] for sensed in ("gyro", "accel")
+    )
+    if not gyro or not accel:
+        return
+    of_gyro, of_accel = np.any(gyro, axis=0), np.any(accel, axis=0)
+    if of_gyro.any() and of_accel.any() and not np.any(of_gyro & of_accel):
+        message = "no row contains both gyros and accelerometers: each row belongs to one of the two sensors"
+        hint = "write one file for each sensor, or a table in which each row contains all sensors"
+        raise InputError.at(Mark(str(path)), "recording-unfit", message, hint)
 
 
 class _Clock:

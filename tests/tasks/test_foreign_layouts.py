@@ -672,6 +672,25 @@ def thousands(folder: Path) -> Path:
     )
 
 
+def names_again(folder: Path) -> Path:
+    lines = rows(TIME, GYRO * DEG, ACCEL / G)
+    lines.insert(700, f"time_s,{IN_DPS_G}")
+    return text(folder / "r.csv", f"time_s,{IN_DPS_G}", lines)
+
+
+def sensors_in_turn(folder: Path) -> Path:
+    """One table of two sensors that do not measure at the same time."""
+    pairs = zip(rows(TIME, GYRO), rows(TIME + 0.003, ACCEL), strict=True)
+    lines = [line for one, other in pairs for line in (f"{one},,,", other.replace(",", ",,,,", 1))]
+    return text(folder / "r.csv", "time_s,gx,gy,gz,ax,ay,az", lines)
+
+
+def means(folder: Path) -> Path:
+    return text(
+        folder / "r.csv", "state,n,mean_deg_per_s,sd_deg_per_s", ["a,9,0.01,0.1", "b,9,10.2,0.1", "c,9,-9.9,0.1"]
+    )
+
+
 def sensors_apart(folder: Path) -> Path:
     """The accelerometer measures 1 ms after the gyro."""
     return sensor_events(1e6)(folder)
@@ -698,6 +717,12 @@ def written(content: bytes) -> Write:
     [
         (words, "line 702: 'ERR' in column 'gx_dps' is not a number; correct it, or leave it empty"),
         (thousands, "'85,000.000' in column 'time_ms' is not a number; write numbers without thousands separators"),
+        (
+            names_again,
+            "is not a number; this line repeats the names of the columns",
+        ),
+        (sensors_in_turn, "no row contains both gyros and accelerometers: each row belongs to one of the two sensors"),
+        (means, "For a table of means, see docs/real-recordings.md (key `summary`)"),
         (sensors_apart, "'gyroscope.x' and 'accelerometer.x' have no readings at the same time"),
         (readings_twice, "row 100 (line 101): the time of 'gyro_z' does not increase: 0.32 s after 0.32 s"),
         (

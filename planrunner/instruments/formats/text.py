@@ -232,6 +232,11 @@ class TextFile(FormatFile[TextKeys]):
                                 f"{self.name}, line {reader.line_num + layout.skip}: '{cell[:40]}' in column '{column}'"
                             )
                             hint = "correct it, or leave it empty"
+                            if cell.strip() == column:
+                                hint = (
+                                    "this line repeats the names of the columns: split the file here if the logger started anew, and use "
+                                    "`continued_by`; otherwise remove the line"
+                                )
                             if _THOUSANDS.fullmatch(cell.strip()):
                                 hint = "write numbers without thousands separators"
                             return InstrumentError(f"{place} is not a number; {hint}")
