@@ -18,7 +18,7 @@ _PATIENCE = 30.0  # s for an answer, which a busy computer may delay
 
 
 class SimulationSpec(Record):
-    """Describes the bench that `planrunner simulate-bench` serves at the addresses."""
+    """Describes the bench that `planrunner simulate-bench` serves at the addresses of a bench file."""
 
     bench: str = key(
         Text(),
