@@ -11,7 +11,7 @@ A hypothesis about the level of the noise does not compete with a cause. Hypothe
 the noise count as the same cause, and their probabilities are added. The probability of each effect on the noise level is stated
 separately. A log weight is the logarithm of a probability that is not yet normalised.
 
-In array shapes, K is the number of channels.
+In array shapes, K is the number of channels, and Q is the number of rates of events of the noise.
 """
 
 from __future__ import annotations
@@ -31,16 +31,21 @@ from planrunner.gap.answer.remainder import dispersions
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
 from planrunner.gap.evidence.noise_levels import Level, log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.open_set import Kinds, competitors, forms_of_unknown, look_alike, something_else, unknown
+from planrunner.gap.hypotheses.noise_events import RATES, averaged_over_rates
+from planrunner.gap.hypotheses.open_set import (
+    Kinds,
+    competitors,
+    events_beside,
+    forms_of_unknown,
+    look_alike,
+    something_else,
+    unknown,
+)
 from planrunner.gap.hypotheses.outside import Line
 from planrunner.gap.hypotheses.patterns import Pattern
+from planrunner.gap.hypotheses.short_offsets import ShortOffsets
 
 BESIDE = 0.001  # probability that a tone or bursts with an independent cause are present in addition to an effect
-EVENT = 0.02
-"""Probability that the noise of a recording contains a single event of a few seconds, for example a knock. Such an event does not
-count as a cause of a gap, neither alone nor beside effects; events that recur do."""
-LARGEST_EVENT = 50.0
-"""Nats, half the energy of an event of 10 standard deviations. A larger event does not count as noise."""
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown": 0.15}
 """Prior probabilities. `several` is divided equally between two cases: three and more effects of the catalogue, and effects
 together with something else. Every further effect halves the probability."""
@@ -51,6 +56,7 @@ IMPERFECT = 0.05
 in addition to something else. The reason is that no pattern describes an unknown cause exactly. Effects of the catalogue can
 imitate the part that the pattern does not describe."""
 WORTH = 3.0  # log Bayes factor at and above which something else may cause the part that some of the effects explain
+RIVAL = 12.0  # nats; events of the noise are evaluated beside each effect that is less probable than the best set by at most this
 UNKNOWN = "unknown"
 _Key = TypeVar("_Key", str, tuple[str, ...])
 
@@ -157,23 +163,17 @@ def posterior(
     found |= {key_of([name, UNKNOWN]): found[UNKNOWN] + value for name, value in noise.apart.items()}
     plainly = {what: weighing.evidence(value) + noise.declared - start for what, value in kinds.log_bayes.items()}
     count = _acting(found)
-    logs = {
-        name: value + log_prior(name, count) + (0.0 if name in PRIORS else _beside(kinds))
-        for name, value in found.items()
-    }
-    event = weighing.evidence(_eventful(kinds.event, kinds.event_outside)) - weighing.evidence(nothing)
+    logs = {name: value + log_prior(name, count) for name, value in found.items()}
+    events = _Events(weighing, kinds, candidates, sets, found, walk)
+    gains = {name: events.gain(name) for name in logs}
+    logs = {name: value + gains[name] for name, value in logs.items()}
     levels = frozenset(acting.values())
-    for name in logs:
-        if name == "none":
-            logs[name] += event
-        elif levels.issuperset(name.split("+")):  # the event and other bursts may both be present
-            logs[name] += _or_beside(kinds, event, event) - _beside(kinds)
     by_id = {c.id: c for c in candidates}
     for name in logs:
         if UNKNOWN in name.split("+"):
             logs[name] += _whatever_noise(noise, len(name.split("+")), count)
+    best = max((name for name in logs if name not in PRIORS), key=lambda name: logs[name], default="")
     if _shares(logs)["none"] < NAMEABLE:
-        best = max((name for name in logs if name not in PRIORS), key=lambda name: logs[name], default="")
         chain = _chain(best, sets, candidates)
         if chain:
             named = _shared(logs)
@@ -183,26 +183,24 @@ def posterior(
                 wide = weighing.inflated(ratios.tolist())
                 again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, sets)
                 named = _shared(
-                    {name: value + log_prior(name, count) for name, value in again.items() if name in found}
+                    {name: value + log_prior(name, count) + gains[name] for name, value in again.items() if name in found}
                 )
             singles = [(name, by_id[name].best) for name in chain[-1][0].split("+")]
-            imitated, more, events = _with_something_else(weighing, [*singles[::-1], *chain], found, count)
-            if chain[-1][0] in events:
-                event, within = (
-                    float(_eventful(events[chain[-1][0]], outside)) for outside in (kinds.event_outside, 0.0)
-                )
-                gain = _or_beside(kinds, event, within) - _beside(kinds)
-                logs = {name: value + gain * (name not in PRIORS) for name, value in logs.items()}
+            imitated, more, further = _with_something_else(weighing, [*singles[::-1], *chain], found, count)
             more = {
-                key: value + _whatever_noise(noise, len(key.split("+")), count) + _beside(kinds)
+                key: value + _whatever_noise(noise, len(key.split("+")), count) + _in_noise(kinds, further[key])
                 for key, value in more.items()
             }
             logs = _as_named(logs, named, more, walk)
             one_of = float(np.log(forms_of_unknown(kinds) * count))
             found[UNKNOWN] = float(np.logaddexp(found[UNKNOWN], imitated - one_of))
-            imitated += log_prior(UNKNOWN, count) + _whatever_noise(noise, 1, count) + _beside(kinds) - one_of
+            imitated += log_prior(UNKNOWN, count) + _whatever_noise(noise, 1, count) - one_of
+            imitated += _in_noise(kinds, np.zeros(len(RATES)))
             logs[UNKNOWN] = float(np.logaddexp(logs[UNKNOWN], imitated))
-    beside = float(np.exp(np.log(BESIDE) + kinds.outside - _beside(kinds)))
+    within = events.beside(best)
+    beside = float(
+        np.exp(np.log(BESIDE) + kinds.outside + averaged_over_rates(within) - _in_noise(kinds, within)) if best else 0.0
+    )
     causes = _of_causes(logs, levels)
     return Posterior(
         dict(sorted(_shares(causes).items(), key=lambda item: -item[1])),
@@ -329,10 +327,11 @@ def _chain(name: str, sets: Mapping[str, EffectSet], candidates: Sequence[Candid
 
 def _with_something_else(
     weighing: Weighing, tried: Sequence[tuple[str, Weighed]], found: Mapping[str, float], count: int
-) -> tuple[float, dict[str, float], dict[str, float]]:
+) -> tuple[float, dict[str, float], dict[str, Array]]:
     """Evaluates something else in addition to effects. Returns three results: the log evidence of causes outside the catalogue that
     resemble one of the effects; the log weights of hypotheses in which something else acts in addition to a set of effects; and,
-    for each of these sets, the log Bayes factor of a single event in the coefficients in addition to the set.
+    for each of these hypotheses, the log Bayes factor of the events of the noise in the coefficients in addition, at each rate, shape
+    (Q,).
 
     Some of the effects may only imitate something else. Therefore, something else is evaluated in addition to several sets,
     beginning with the last set. The evaluation ends when something else is no longer visible. Two kinds of sets are omitted: sets
@@ -344,7 +343,7 @@ def _with_something_else(
     of each set and of "unknown". `count`: number of effects that the plan can excite.
     """
     made: dict[str, float] = {}
-    events: dict[str, float] = {}
+    events: dict[str, Array] = {}
     imitated = -np.inf
     for key, weighed in dict(reversed(tried)).items():
         if weighed.excluded or found[key] < IMPERFECT * found[UNKNOWN]:
@@ -403,25 +402,104 @@ def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
     return {name: float(np.exp(value - total)) for name, value in logs.items()}
 
 
-def _eventful(within: Array | float, outside: float) -> Array:
-    """Returns the log Bayes factor of noise that may contain a single event, relative to noise that contains none. `within`,
-    `outside`: log Bayes factors of an event that certainly happened, in the coefficients and outside them."""
-    happened = np.log(EVENT) + np.minimum(within + outside, LARGEST_EVENT)
-    return np.asarray(np.logaddexp(np.log1p(-EVENT), happened))
+class _Events:
+    """Evaluates the events of the noise in addition to the hypotheses. In addition to "none" and to "something else", they have been
+    evaluated with the patterns (`Kinds`). In addition to effects, they are evaluated for the best set, and for each single effect that
+    is visible and not much less probable. An effect that is not visible does not change the events."""
+
+    def __init__(
+        self,
+        weighing: Weighing,
+        kinds: Kinds,
+        candidates: Sequence[Candidate],
+        sets: Mapping[str, EffectSet],
+        found: Mapping[str, float],
+        walk: str,
+    ):
+        self._weighing, self._kinds, self._found, self._walk = weighing, kinds, found, walk
+        self._by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
+        self._sets, self._short_offsets = sets, ShortOffsets(weighing)
+        self._known: dict[str, Array] = {}
+        keys = {self._key(name) for name in found if name not in PRIORS and UNKNOWN not in name.split("+")}
+        self._best = max(keys - {""}, key=lambda key: self._found.get(key, -np.inf), default="")
+
+    def _key(self, name: str) -> str:
+        """Returns the effects of a hypothesis that have signatures, as the key of a set."""
+        return key_of(part for part in name.split("+") if part in self._by_id)
+
+    def gain(self, name: str) -> float:
+        """Returns the log Bayes factor of noise with events, relative to noise without events, for one hypothesis. For effects, it
+        includes the possibility that a tone or bursts act in addition."""
+        weighing, kinds = self._weighing, self._kinds
+        parts = name.split("+")
+        quiet = weighing.evidence(np.zeros(len(weighing.base)))
+        if name == "none":
+            return weighing.evidence(averaged_over_rates(kinds.events + kinds.events_outside)) - quiet
+        if UNKNOWN in parts:
+            return weighing.evidence(kinds.with_events) - weighing.evidence(unknown(kinds))
+        if not self._key(name) and self._walk not in parts:
+            whole, within = (
+                weighing.evidence(averaged_over_rates(kinds.events + more)) - quiet
+                for more in (kinds.events_outside, np.zeros(len(RATES)))
+            )
+            return _or_beside(kinds, whole, within)
+        return _in_noise(kinds, self.beside(name))
+
+    def beside(self, name: str) -> Array:
+        """Returns the log Bayes factor of the events in the coefficients in addition to the effects of a hypothesis, at each rate, shape
+        (Q,)."""
+        key = self._key(name)
+        each = [self._beside_effects(key)] if key else []
+        if self._walk and self._walk in name.split("+"):
+            each.append(self._beside_walk())
+        return min(each or [self._kinds.events[self._weighing.likeliest[0]]], key=lambda own: float(own.sum()))
+
+    def _beside_effects(self, key: str) -> Array:
+        if key == self._best or (key in self._by_id and self._rival(key)):
+            return self._evaluated(key)
+        visible = any(self._found.get(part, -np.inf) >= WORTH for part in key.split("+"))
+        if not visible:
+            return np.asarray(self._kinds.events[self._weighing.likeliest[0]])
+        if "+" in key and "+" not in self._best:
+            return min(map(self._beside_effects, key.split("+")), key=lambda own: float(own.sum()))
+        return self._evaluated(self._best)
+
+    def _rival(self, name: str) -> bool:
+        """Returns True if events are evaluated in addition to this effect."""
+        return self._found[name] >= max(WORTH, self._found.get(self._best, -np.inf) - RIVAL)
+
+    def _evaluated(self, key: str) -> Array:
+        if key not in self._known:
+            if key in self._by_id:
+                known = self._by_id[key].best
+                setting = self._weighing.likeliest_with(self._by_id[key].log_bayes, False)
+            elif key in self._sets:
+                known = self._sets[key].weighed
+                setting = self._weighing.likeliest_with(self._sets[key].log_bayes, False)
+            else:  # a pair that was evaluated quickly
+                return min(map(self._beside_effects, key.split("+")), key=lambda own: float(own.sum()))
+            self._known[key] = events_beside(self._weighing.beside(known), setting, self._short_offsets)
+        return self._known[key]
+
+    def _beside_walk(self) -> Array:
+        if self._walk not in self._known:
+            setting = self._weighing.likeliest_with(np.zeros(len(self._weighing.base)), True)
+            self._known[self._walk] = events_beside(self._weighing, setting, self._short_offsets)
+        return self._known[self._walk]
 
 
-def _or_beside(kinds: Kinds, event: float, within: float = 0.0) -> float:
-    """Returns the log Bayes factor of the possibilities in addition to an effect: an event of the noise, or a tone or bursts that
-    have an independent cause. `event`: log Bayes factor of noise that may contain an event. `within`: log Bayes factor of noise
-    that may contain an event if the tone or the bursts are present. It includes only the part of the event in the coefficients,
-    because the bursts explain the other part."""
-    return float(np.logaddexp(np.log1p(-BESIDE) + event, np.log(BESIDE) + kinds.outside + within))
+def _in_noise(kinds: Kinds, within: Array) -> float:
+    """Returns the log Bayes factor of the possibilities in addition to an effect (`_or_beside`). `within`: array of shape (Q,), log
+    Bayes factor of the events in the coefficients at each rate."""
+    whole, inside = (float(averaged_over_rates(one)) for one in (within + kinds.events_outside, within))
+    return _or_beside(kinds, whole, inside)
 
 
-def _beside(kinds: Kinds) -> float:
-    """Returns the log Bayes factor of `_or_beside`, without the part of an event in the coefficients. This factor is added to every
-    hypothesis with an effect."""
-    return _or_beside(kinds, float(_eventful(0.0, kinds.event_outside)))
+def _or_beside(kinds: Kinds, events: float, within: float) -> float:
+    """Returns the log Bayes factor of the possibilities in addition to an effect: events of the noise, or a tone or bursts that have an
+    independent cause. `events`: log Bayes factor of noise with events. `within`: log Bayes factor of noise with events in the
+    coefficients alone, because the bursts explain the others."""
+    return float(np.logaddexp(np.log1p(-BESIDE) + events, np.log(BESIDE) + kinds.outside + within))
 
 
 def _acting(log_evidence: Mapping[str, float]) -> int:

@@ -7,8 +7,8 @@ waveforms per turn or per rocking period (`patterns`). Further patterns of the c
 offsets of a few seconds (`short_offsets`), and a bias that repeats with an unknown period. The competitors are evaluated like
 effects, individually and in combination.
 
-In array shapes, M is the number of coefficients of a channel, K is the number of channels, S is the number of segments, and G is
-the number of settings of the noise (levels of flicker and random walk). A scope is a channel or a triad.
+In array shapes, M is the number of coefficients of a channel, K is the number of channels, S is the number of segments, G is the
+number of settings of the noise (levels of flicker and random walk), and Q is the number of rates of events. A scope is a channel or a triad.
 """
 
 from __future__ import annotations
@@ -24,12 +24,14 @@ from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean
 from planrunner.gap.evidence.covariance import lasting
 from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen, visible
 from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.noise_events import RATES, Events, averaged_over_rates
 from planrunner.gap.hypotheses.outside import PLAIN, Line, Outside, outside, scopes_of
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Rows, Sort, designs, factors, sizes, sorts
 from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets
 
 PERIODIC = Pattern("offset periodic in time", Sort.SEVERAL, Factor.TIME)
 ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
+_WITH_BURSTS = (PERIODIC, SHORT_OFFSETS)  # patterns that are also evaluated in combination with bursts and tones
 WAVEFORM = 4  # harmonics of a smooth waveform
 _AT_ONCE = 1 << 18  # number of complex coefficients of waves that are whitened at once: 4 MB
 EDGED = 16  # harmonics of a waveform with edges
@@ -49,17 +51,19 @@ class Kinds:
     factor of combinations of patterns of different kinds. `by_channel`: for each competitor, an array of shape (K,): the log Bayes
     factor of the competitor in each channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns
     outside the coefficients. No effect of the catalogue acts outside the coefficients, so these patterns are independent of every
-    effect. `lines`: the strongest tone of each channel that shows a tone. `event`: array of shape (G,), log Bayes factor of a
-    single event of a few seconds in the coefficients. The noise of real sensors sometimes contains such an event. `event_outside`:
-    log Bayes factor of the part of an event outside the coefficients, which is the same for every effect."""
+    effect. `lines`: the strongest tone of each channel that shows a tone. `events`: array of shape (G, Q), log Bayes factor of the
+    events of the noise in the coefficients, at each rate (`noise_events.RATES`). `events_outside`: array of shape (Q,), log Bayes
+    factor of the events outside the coefficients, which are the same for every effect. `with_events`: array of shape (G,), log Bayes
+    factor of "something else" in noise with events (`unknown` states it in noise without events)."""
 
     log_bayes: dict[Pattern, Array]
     several: Array
     by_channel: dict[Pattern, Array]
     outside: float
     lines: tuple[Line, ...]
-    event: Array
-    event_outside: float
+    events: Array
+    events_outside: Array
+    with_events: Array
 
 
 def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
@@ -68,13 +72,19 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
     settings = np.flatnonzero(np.isfinite(weighing.log_prior[0]))
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
     patterns, beyond = _Patterns(weighing), outside_ or outside(weighing)
-    several, event = np.full(len(weighing.base), -np.inf), np.full(len(weighing.base), -np.inf)
+    several, with_events = np.full(len(weighing.base), -np.inf), np.full(len(weighing.base), -np.inf)
+    events = np.zeros((len(weighing.base), len(RATES)))
+    tones_or_bursts = float(
+        log_mean_exp(np.array([log_mean_exp(value, 0) for value in beyond.log_bayes.values()]), 0)
+    )
     each = {}
     for g in settings:
         channels = [whole[id(weight)] for weight in _weights(weighing, int(g))]
         each[g] = patterns.weighed(channels) | beyond.log_bayes
         several[g] = _several(patterns, channels, each[g])
-        event[g] = _event(patterns, channels)
+        found_events = patterns.short_offsets.events(patterns.scopes, channels)
+        events[g] = found_events.log_bayes()
+        with_events[g] = _with_events(patterns, each[g], several[g], found_events, beyond.events, tones_or_bursts)
     found = {pattern: np.full(len(weighing.base), -np.inf) for pattern in each[settings[0]]}
     for g, values in each.items():
         for pattern, value in values.items():
@@ -85,23 +95,45 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
     for pattern, per_channel in factors(weighing):
         spectra = [eigen(left, design) for left, design in zip(first, per_channel, strict=True)]
         alone[pattern] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
-    beside = float(log_mean_exp(np.array([log_mean_exp(value, 0) for value in beyond.log_bayes.values()]), 0))
-    return Kinds(found, several, alone, beside, beyond.lines, event, max(beyond.burst, 0.0))
+    return Kinds(found, several, alone, tones_or_bursts, beyond.lines, events, beyond.events, with_events)
 
 
-def _event(patterns: _Patterns, channels: list[Left]) -> float:
-    """Returns the log Bayes factor of a single offset of a few seconds in the coefficients; 0 if the data do not favour such an
-    offset, or if the run has no windows. A burst, which is an event outside the coefficients, is evaluated separately."""
-    return max(float(log_mean_exp(patterns.short_offsets.weighed(patterns.scopes, channels)[1], 0)), 0.0)
+def _with_events(
+    patterns: _Patterns, each: dict[Pattern, Array], several: float, events: Events, outside_: Array, beside: float
+) -> float:
+    """Returns the log Bayes factor of "something else" in noise with events. Beside a pattern, only events in other channels count:
+    they are independent of the pattern, so the result is a lower limit. Bursts explain the events outside the coefficients. `each`:
+    log Bayes factor of each pattern in each scope. `several`: log Bayes factor of combinations of patterns. `events`, `outside_`: the
+    events in the coefficients, and the log Bayes factor of those outside them. `beside`: log Bayes factor of tones and bursts."""
+    elsewhere = np.array([events.log_bayes(scope) for scope in patterns.scopes])
+    forms = [several + float(averaged_over_rates(outside_))]
+    for pattern, value in each.items():
+        own = elsewhere if len(value) == len(patterns.scopes) else np.zeros((1, len(RATES)))
+        if pattern.sort in (Sort.TONE, Sort.BURSTS):
+            own = events.log_bayes()[None]
+        further = np.zeros(len(RATES)) if pattern.sort is Sort.BURSTS else outside_
+        forms.append(float(log_mean_exp(value + averaged_over_rates(own + further), 0)))
+        if pattern in _WITH_BURSTS:
+            forms.append(float(log_mean_exp(value + averaged_over_rates(own), 0)) + _maybe(beside))
+    return float(log_mean_exp(np.array(forms), 0))
+
+
+def events_beside(weighing: Weighing, setting: int, short_offsets: ShortOffsets) -> Array:
+    """Returns the log Bayes factor of the events of the noise in the coefficients, at each rate, shape (Q,). If the weighing includes
+    effects (`Weighing.beside`), these are events in addition to them. `setting`: index of the setting of the noise. `short_offsets`:
+    the windows of the same recording."""
+    channels = [Left.whole(weight) for weight in _weights(weighing, setting)]
+    return short_offsets.events(scopes_of(weighing), channels).log_bayes()
 
 
 def something_else(
     weighing: Weighing, signatures: Sequence[Array] = (), explained: float = np.inf
-) -> tuple[float, float]:
-    """Returns two log Bayes factors at the most probable setting of the noise. The first is for the patterns of the coefficients,
-    relative to no pattern; the second is for a single event of a few seconds in the coefficients. The first is the mean over single
-    patterns and over combinations of patterns. If the weighing includes effects (`Weighing.beside`), both factors describe
-    something else in addition to these effects. `signatures`: for each channel, the coefficients (M,) that these effects cause.
+) -> tuple[float, Array]:
+    """Returns two results at the most probable setting of the noise. The first is the log Bayes factor of the patterns of the
+    coefficients, relative to no pattern: the mean over single patterns and over combinations of patterns. The second is the log Bayes
+    factor of the events of the noise in the coefficients that lie outside the channels of the most probable pattern, at each rate,
+    shape (Q,). If the weighing includes effects (`Weighing.beside`), both factors describe something else in addition to these
+    effects. `signatures`: for each channel, the coefficients (M,) that these effects cause.
     `explained`: log evidence of these effects. One further pattern is a separate size of the effects in each motion. If this
     pattern explains more than the effects themselves, it is not a property of the effects, and the pattern is left out."""
     channels = [Left.whole(weight) for weight in _weights(weighing, weighing.likeliest[0])]
@@ -113,7 +145,10 @@ def something_else(
         varying = np.array(_by_scope(spectra, patterns.scopes))
         if any(len(values) for values, _ in spectra) and float(log_mean_exp(varying, 0)) <= explained:
             each[pattern] = varying
-    return _in_coefficients(patterns, channels, each), _event(patterns, channels)
+    events = patterns.short_offsets.events(patterns.scopes, channels)
+    best = max(each.values(), key=lambda value: float(value.max()))
+    acting = patterns.scopes[int(np.argmax(best))] if len(best) == len(patterns.scopes) else range(len(channels))
+    return _in_coefficients(patterns, channels, each), events.log_bayes(acting)
 
 
 def _in_coefficients(patterns: _Patterns, channels: list[Left], each: dict[Pattern, Array]) -> float:
@@ -136,7 +171,7 @@ def forms_of_unknown(kinds: Kinds) -> int:
 
 
 def _forms(kinds: Kinds) -> list[Array]:
-    both = [kinds.log_bayes[pattern] + _maybe(kinds.outside) for pattern in (PERIODIC, SHORT_OFFSETS)]
+    both = [kinds.log_bayes[pattern] + _maybe(kinds.outside) for pattern in _WITH_BURSTS]
     return [*kinds.log_bayes.values(), kinds.several, *both]
 
 
@@ -223,7 +258,7 @@ class _Patterns:
             found[ODD_SEGMENT] = [_one_segment(self.means, channels)]
         if among is None:
             found[PERIODIC] = self.repeating.weighed(self.scopes, channels)
-            found[SHORT_OFFSETS] = list(self.short_offsets.weighed(self.scopes, channels)[0])
+            found[SHORT_OFFSETS] = list(self.short_offsets.weighed(self.scopes, channels))
         return {pattern: np.array(each) for pattern, each in found.items()}
 
     def _eigen(self, pattern: Pattern, left: Left, design: Array | Rows) -> Eigen:

@@ -5,12 +5,11 @@ A tone keeps its frequency and its phase over the whole run. Tones are found in 
 
 A burst is a window of a few seconds with a shifted bias or with larger noise, at a random time in a run. Every window contains a
 burst with the same small probability. The windows are parts of the remainder, so the part of a burst that the coefficients absorb
-is missing. A deviation that appears in most windows of segments of equal length is slow noise, not a burst. The noise of real
-sensors contains rare single events. Therefore, the evidence of a single burst is also stated separately. This is the evidence of an
-event that does not recur.
+is missing. A deviation that appears in most windows of segments of equal length is slow noise, not a burst. Bursts of independent
+channels and sizes are rare events of the noise (`hypotheses.noise_events`). Their evidence is stated separately.
 
 In array shapes, N is the number of all samples, K is the number of channels, F is the number of frequencies, W is the number of
-windows, and E is the number of energies of a burst.
+windows, E is the number of energies of a burst, and Q is the number of rates of events.
 """
 
 from __future__ import annotations
@@ -25,6 +24,7 @@ from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, log_mean_exp
 from planrunner.gap.evidence.noise_levels import HOLDS
 from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.noise_events import LARGEST, RATES
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 from planrunner.plan.schedule import Rest, Spin
 
@@ -60,13 +60,14 @@ class Outside:
     """Contains the evidence for the patterns outside the basis of the coefficients.
 
     `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
-    `causes`: the tones in `lines` that count as separate causes. `burst`: log Bayes factor of a single burst.
+    `causes`: the tones in `lines` that count as separate causes. `events`: array of shape (Q,), log Bayes factor of events of the
+    noise at each rate (`noise_events.RATES`).
     """
 
     log_bayes: dict[Pattern, Array]
     lines: tuple[Line, ...]
     causes: tuple[Line, ...]
-    burst: float
+    events: Array
 
 
 def outside(weighing: Weighing) -> Outside:
@@ -88,9 +89,8 @@ def outside(weighing: Weighing) -> Outside:
             if material and _tone([_Periodogram.of(scan, rest).power]) <= PLAIN:
                 causes[index] = lines[-1]
     tones = np.where([bool(causes.keys() & set(scope)) for scope in scopes], tones, np.minimum(tones, 0.0))
-    several, single = bursts(weighing, scopes)
-    burst = float(log_mean_exp(single, 0))
-    return Outside({TONE: tones, BURSTS: several}, tuple(lines), tuple(causes.values()), burst)
+    several, events = bursts(weighing, scopes)
+    return Outside({TONE: tones, BURSTS: several}, tuple(lines), tuple(causes.values()), events)
 
 
 def scopes_of(weighing: Weighing) -> list[list[int]]:
@@ -284,9 +284,10 @@ class _Windows:
 
 
 def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, Array]:
-    """Computes two log Bayes factors for the channels of each scope, each of shape (scopes,). The first is for bursts in any number
-    of windows, the second for a single burst of at most 4 s. Both are −∞ if the recording is too short for windows."""
-    observed, found = weighing.observed, []
+    """Computes the log Bayes factor of bursts in the channels of each scope, shape (scopes,), and of events of the noise at each rate,
+    shape (Q,). If the recording is too short for windows, the first is −∞ and the second is zero."""
+    observed = weighing.observed
+    several, events = [], []
     sums = _Sums.of(weighing)
     within = {id(basis): _summed(basis.vectors) for basis in weighing.spectrum.bases}
     overdispersion = np.maximum(weighing.noise.inefficiency, _of_short_windows(weighing, sums, within))
@@ -295,10 +296,12 @@ def bursts(weighing: Weighing, scopes: Sequence[Sequence[int]]) -> tuple[Array, 
         for begin in (0, size // 2):
             windows = _windows(weighing, within, size, begin) if size >= FEWEST else None
             if windows is not None:
-                most = round(max(LENGTHS) / length)
-                found.append(_evidence(sums, windows, size, scopes, overdispersion, most))
-    several, single = log_mean_exp(np.array(found), 0).T if found else np.full((2, len(scopes)), -np.inf)
-    return np.asarray(several), np.asarray(single)
+                forms = _forms(sums, windows, size, scopes, overdispersion)
+                several.append(log_mean_exp(np.array([list(map(_here_and_there, own)) for own in forms]), 1))
+                events.append(_now_and_then(forms, length))
+    if not several:
+        return np.full(len(scopes), -np.inf), np.zeros(len(RATES))
+    return log_mean_exp(np.array(several), 0), log_mean_exp(np.array(events), 0)
 
 
 @dataclass(frozen=True)
@@ -369,27 +372,18 @@ def _windows(weighing: Weighing, within: Mapping[int, Array], size: int, begin: 
     return _Windows(*(each[many] for each in every)) if many.any() else None
 
 
-def _evidence(
-    sums: _Sums,
-    windows: _Windows,
-    size: int,
-    scopes: Sequence[Sequence[int]],
-    overdispersion: Array,
-    most: int,
-) -> Array:
-    """Returns two log Bayes factors for each scope, shape (scopes, 2): the first for bursts in any number of windows, the second
-    for a single burst in at most `most` windows. All windows have the same size. `overdispersion`: array of shape (K,), lower limit
-    of the overdispersion (`_overdispersion`) of the scatter."""
+def _forms(
+    sums: _Sums, windows: _Windows, size: int, scopes: Sequence[Sequence[int]], overdispersion: Array
+) -> list[list[Array]]:
+    """Returns, for each scope and each form of a burst (a shifted bias, larger noise, or both), the log Bayes factor of a burst in each
+    window at each energy, shape (W, E). All windows have the same size. `overdispersion`: array of shape (K,), lower limit of the
+    overdispersion (`_overdispersion`) of the scatter."""
     mean, rest = _normalised(sums, windows, size)
     offset = _larger(mean, 1.0, np.outer(windows.kept, ENERGIES)[:, None, :])
     offset[~windows.clear] = 0.0
     noisier = _larger(rest, size - 1.0, ENERGIES / (size - 1))
     noisier /= np.maximum(overdispersion, _overdispersion(rest, size - 1.0))[:, None]
-    found = np.empty((len(scopes), 3, 2))
-    for row, scope in enumerate(scopes):
-        forms = (part[:, scope].sum(1) for part in (offset, noisier, offset + noisier))
-        found[row] = [_here_and_there(form, most) for form in forms]
-    return log_mean_exp(found, 1)
+    return [[part[:, scope].sum(1) for part in (offset, noisier, offset + noisier)] for scope in scopes]
 
 
 def _normalised(sums: _Sums, windows: _Windows, size: int) -> tuple[Array, Array]:
@@ -425,14 +419,20 @@ def _larger(energy: Array, degrees: float, added: Array) -> Array:
     return 0.5 * energy[:, :, None] * (added / (1 + added)) - 0.5 * degrees * np.log1p(added)
 
 
-def _here_and_there(windows: Array, most: int) -> Array:
-    """Returns two log Bayes factors relative to no bursts, shape (2,). The first is for bursts: every window contains a burst with
-    the same small probability. The second is for a single burst. It lasts for one to `most` consecutive windows, and begins in each
-    window with the same probability. `windows`: array of shape (W, E), log Bayes factor of a burst in each window at each energy."""
+def _here_and_there(windows: Array) -> float:
+    """Returns the log Bayes factor of bursts with a common energy: every window contains a burst with the same small probability.
+    `windows`: array of shape (W, E), log Bayes factor of a burst in each window at each energy."""
     each = []
     for chance in CHANCES:
         gains = np.logaddexp(0.0, np.log(chance / (1 - chance)) + windows)
         each.append(len(windows) * np.log1p(-chance) + gains.sum(0))
-    sums = _summed(windows)
-    lasting = [log_mean_exp((sums[n:] - sums[:-n]).ravel(), 0) for n in range(1, min(most, len(windows)) + 1)]
-    return np.array([log_mean_exp(np.concatenate(each), 0), log_mean_exp(np.array(lasting), 0)])
+    return float(log_mean_exp(np.concatenate(each), 0))
+
+
+def _now_and_then(forms: Sequence[Sequence[Array]], length: float) -> Array:
+    """Returns the log Bayes factor of events of the noise at each rate, shape (Q,). Each event has its own channels, form and energy, of
+    at most that of ten standard deviations. `forms`: the result of `_forms`. `length`: length of the windows, s."""
+    small = np.array([part[:, ENERGIES <= 2 * LARGEST] for own in forms for part in own])
+    each = log_mean_exp(np.minimum(small, LARGEST).transpose(1, 0, 2).reshape(small.shape[1], -1), 1)
+    chance = -np.expm1(-RATES * length)[:, None]
+    return np.asarray(np.logaddexp(np.log1p(-chance), np.log(chance) + each).sum(1))

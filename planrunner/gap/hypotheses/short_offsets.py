@@ -7,9 +7,8 @@ for them from the same data is stronger. The part of such an offset that lies ou
 
 Every window of the run contains an offset with the same small probability. The windows are found one at a time: the best window is
 chosen, its offset is fitted, and the next window is evaluated on the remaining data. The result is the evidence of the chosen
-windows. It is therefore a lower limit of the evidence of all possible choices. As for bursts, the evidence of a single window is
-also stated separately.
-
+windows. It is therefore a lower limit of the evidence of all possible choices. Short offsets of independent channels and sizes are
+rare events of the noise (`hypotheses.noise_events`). They are found in the same way.
 
 A window acts only on the m coefficients of its own segment. Therefore, whitened windows are never stored: the products of two of
 them follow from the m × m products of the whitened coefficients of a segment, and their products with a column y follow from Gᵀ·y,
@@ -32,6 +31,7 @@ from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean_exp
 from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.noise_events import LARGEST, RATES, Events
 from planrunner.gap.hypotheses.outside import CHANCES, KEPT, LENGTHS
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 
@@ -39,11 +39,12 @@ SHORT_OFFSETS = Pattern("offset for a few seconds", Sort.SEVERAL, Factor.TIME)
 STEPS = 2  # number of windows that begin within the length of a window, as far as whole samples allow
 MOST = 16  # largest number of offsets that are fitted
 COMPARED = 8  # number of windows with the largest energy of the fit, for which the evidence is computed
-LARGEST = (
+LONGEST = (
     1 << 24
 )  # largest number of windows of one length times coefficients of a channel; longer runs are not examined
 
 _AT_ONCE = 16  # number of segments whose coefficients are whitened together
+_ROUNDING = 1e-6  # s, by which events may last longer than half of a segment
 _NOTHING = 1e-9  # fraction of the largest energy of a window; smaller energies are rounding errors
 
 
@@ -51,12 +52,13 @@ _NOTHING = 1e-9  # fraction of the largest energy of a window; smaller energies 
 class _Windows:
     """Contains windows of one length.
 
-    `coefficients`: array of shape (W, m), the coefficients that an offset of 1 in each window causes in its segment; zero beyond the
+    `length`: length of the windows, s. `coefficients`: array of shape (W, m), the coefficients that an offset of 1 in each window causes in its segment; zero beyond the
     number of coefficients of the segment. `segment`: array of shape (W,), index of the segment of each window. `share`: array of shape
     (W,), the distance between the beginnings of successive windows, divided by their length. `rows`: array of shape (S, m), indices of
     the coefficients of each segment, −1 beyond their number.
     """
 
+    length: float
     coefficients: Array
     segment: NDArray[np.int64]
     share: Array
@@ -96,22 +98,62 @@ class ShortOffsets:
     def __init__(self, weighing: Weighing):
         made = (_windows(weighing, length) for length in LENGTHS)
         self._windows = [windows for windows in made if windows is not None]
-        self._known: dict[tuple[Left, ...], Array] = {}
+        self._lasting = weighing.observed.counts / weighing.observed.sample_rate
+        self._known: dict[tuple[Left, ...], float] = {}
         self._channels: dict[Left, list[_Channel]] = {}
 
-    def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> tuple[Array, Array]:
-        """Returns two log Bayes factors in the channels of each scope, each of shape (scopes,): of short offsets, and of one short
-        offset. Both are −∞ if the run has no windows."""
+    def weighed(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> Array:
+        """Returns the log Bayes factor of short offsets in the channels of each scope, shape (scopes,). It is −∞ if the run has no
+        windows."""
         found = []
         for scope in scopes:
             key = tuple(channels[index] for index in scope)
             if key not in self._known:
                 parts = zip(*map(self._of, key), strict=True)
                 each = [_evidence(windows, own) for windows, own in zip(self._windows, parts, strict=False)]
-                self._known[key] = log_mean_exp(np.array(each), 0) if each else np.full(2, -np.inf)
+                self._known[key] = float(log_mean_exp(np.array(each), 0)) if each else -np.inf
             found.append(self._known[key])
-        several, single = np.array(found).T
-        return np.asarray(several), np.asarray(single)
+        return np.array(found)
+
+    def events(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> Events:
+        """Returns the events of the noise. The most probable event is found first. It is fitted, and the next one is then found in the
+        remaining data. All scopes and lengths are equally probable. The events of a segment together last for at most half of it:
+        longer ones may be an offset of the whole segment."""
+        lasting = self._lasting
+        parts = [self._of(left) for left in channels]
+        forms = [(scope, length) for scope in range(len(scopes)) for length in range(len(self._windows))]
+        whole = {form: np.sum([parts[c][form[1]].size for c in scopes[form[0]]], axis=0) for form in forms}
+        cost = np.log(max(len(forms), 1)) - np.log(RATES.max())
+        covered, stale = np.zeros(len(lasting)), set(forms)
+        likeliest: dict[tuple[int, int], tuple[float, int]] = {}
+        gains: list[float] = []
+        acting: list[frozenset[int]] = []
+        while forms and len(gains) < MOST:
+            for form in stale:
+                scope, length = form
+                windows = self._windows[length]
+                free = (covered + windows.length <= lasting / 2 + _ROUNDING)[windows.segment]
+                prior = np.where(free, np.log(windows.share * windows.length), -np.inf)
+                likeliest[form] = _best([parts[c][length] for c in scopes[scope]], whole[form], prior, cost)
+            best = max(forms, key=lambda form: likeliest[form][0])
+            gain, window = likeliest[best]
+            if gain <= cost:
+                break
+            windows = self._windows[best[1]]
+            segment, seconds = int(windows.segment[window]), float(np.log(windows.share[window] * windows.length))
+            gains.append(min(gain - seconds, LARGEST) + seconds - float(np.log(len(forms))))
+            acting.append(frozenset(scopes[best[0]]))
+            covered[segment] += windows.length
+            column = [(c, *parts[c][best[1]].column(window)) for c in scopes[best[0]]]
+            for channel, fitted, amount in column:
+                parts[channel] = [part.fitted(fitted, amount) for part in parts[channel]]
+            stale = {
+                form
+                for form in forms
+                if acting[-1] & set(scopes[form[0]])
+                or int(self._windows[form[1]].segment[likeliest[form][1]]) == segment
+            }
+        return Events(np.array(gains), tuple(acting), float(lasting.sum()))
 
     def _of(self, left: Left) -> list[_Channel]:
         """Returns the windows of each length in a channel."""
@@ -136,7 +178,7 @@ def _windows(weighing: Weighing, length: float) -> _Windows | None:
         if size < 1 or samples < 2 * size:
             continue
         total += len(starts)
-        if total * len(spectrum.segment) > LARGEST:
+        if total * len(spectrum.segment) > LONGEST:
             return None
         if id(basis) not in sums:
             sums[id(basis)] = np.zeros((samples + 1, widest))
@@ -147,7 +189,7 @@ def _windows(weighing: Weighing, length: float) -> _Windows | None:
         shares.append(np.full(len(starts), step / size))
     if not coefficients:
         return None
-    return _Windows(np.concatenate(coefficients), np.concatenate(owners), np.concatenate(shares), _rows(weighing))
+    return _Windows(length, np.concatenate(coefficients), np.concatenate(owners), np.concatenate(shares), _rows(weighing))
 
 
 def _rows(weighing: Weighing) -> NDArray[np.int64]:
@@ -174,36 +216,38 @@ def _products(left: Left, rows: NDArray[np.int64]) -> Array:
     return found
 
 
-def _evidence(windows: _Windows, parts: Sequence[_Channel]) -> Array:
-    """Returns two log Bayes factors of offsets in the same windows of several channels (`parts`), shape (2,): in all windows, and in a
-    single window. Several windows of one segment are no single event: together, they may be an offset of the whole segment."""
+def _evidence(windows: _Windows, parts: Sequence[_Channel]) -> float:
+    """Returns the log Bayes factor of offsets in the same windows of several channels (`parts`)."""
     whole, prior = np.sum([part.size for part in parts], axis=0), np.log(windows.share)
     gains: list[float] = []
+    least = -_odds(max(CHANCES))
     while len(gains) < MOST:
-        size, score = (np.column_stack([getattr(part, name) for part in parts]) for name in ("size", "score"))
-        unit = size.sum(1)
-        free = unit > KEPT * whole
-        most = np.where(free, 0.5 * (score**2 / np.maximum(size, _NOTHING * unit.max())).sum(1), 0.0) + prior
-        top = np.argsort(-most)[:COMPARED]
-        top = top[most[top] + _odds(max(CHANCES)) > 0]
-        if not len(top):
+        gain, best = _best(parts, whole, prior, least)
+        if gain <= least:
             break
-        each = averaged(from_eigen(size[top] / unit[top, None], score[top] ** 2 / unit[top, None], 1.0)) + prior[top]
-        best = int(top[np.argmax(each)])
-        if each.max() + _odds(max(CHANCES)) <= 0:
-            break
-        gains.append(float(each.max()))
+        gains.append(gain)
         parts = [part.without(best) for part in parts]
     total = []
     for chance in CHANCES:
         more = np.maximum(np.array(gains) + _odds(chance), 0.0)
-        total.append(windows.count * np.log1p(-chance) + whole_and_largest(more))
-    return np.asarray(log_mean_exp(np.array(total), 0))
+        total.append(windows.count * np.log1p(-chance) + more.sum())
+    return float(log_mean_exp(np.array(total), 0))
 
 
-def whole_and_largest(gains: Array) -> Array:
-    """Returns the sum of the gains (W, …) of events and the largest gain, shape (2, …). The gains are not negative."""
-    return np.array([gains.sum(0), gains.max(0, initial=0.0)])
+def _best(parts: Sequence[_Channel], whole: Array, prior: Array, least: float) -> tuple[float, int]:
+    """Returns the log Bayes factor of an offset in the most probable window, multiplied by its prior probability, and the index of this
+    window. The first is −∞ if no window reaches `least`. `whole`: array of shape (W,), energy of each window before any offset has been
+    fitted. `prior`: array of shape (W,), log prior probability of each window, up to a constant."""
+    size, score = (np.column_stack([getattr(part, name) for part in parts]) for name in ("size", "score"))
+    unit = size.sum(1)
+    most = 0.5 * (score**2 / np.maximum(size, _NOTHING * unit.max())).sum(1)
+    most = np.where(unit > KEPT * whole, most, 0.0) + prior
+    top = np.argsort(-most)[:COMPARED]
+    top = top[most[top] > least]
+    if not len(top):
+        return -np.inf, 0
+    each = averaged(from_eigen(size[top] / unit[top, None], score[top] ** 2 / unit[top, None], 1.0)) + prior[top]
+    return float(each.max()), int(top[np.argmax(each)])
 
 
 def _odds(chance: float) -> float:
@@ -235,14 +279,23 @@ class _Channel:
 
     def without(self, window: int) -> _Channel:
         """Returns the channel after the offset of a window has been fitted."""
+        return self.fitted(*self.column(window))
+
+    def column(self, window: int) -> tuple[Array, float]:
+        """Returns the whitened offset of a window outside the basis, with the norm 1, as an array (M,), and its product with the
+        residual."""
         coefficients, rows = self.windows.of(window)
         at, whitened = self.left.whitened(coefficients[:, None], rows)
         column = np.zeros(len(self.residual))
         column[at] = whitened[:, 0]
         column -= self.basis @ (self.basis.T @ column)
         column /= max(float(np.linalg.norm(column)), 1e-300)
+        return column, float(column @ self.residual)
+
+    def fitted(self, column: Array, amount: float) -> _Channel:
+        """Returns the channel after an offset has been fitted. `column`, `amount`: the results of the method `column`, for a window of
+        any length."""
         along = self.windows.products(self.left.weight.transposed(column[:, None])[:, 0])
-        amount = float(column @ self.residual)
         return _Channel(
             self.left,
             self.windows,
