@@ -4,21 +4,25 @@ whose size depends on the motion in another way."""
 from __future__ import annotations
 
 import tracemalloc
+from collections.abc import Sequence
 from dataclasses import replace
+from math import factorial
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import poisson
 
 from planrunner.error_model.effects.gyro import GyroScaleAsymmetry
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
+from planrunner.gap.hypotheses.noise_events import RATES, Events, averaged_over_rates
 from planrunner.gap.hypotheses.open_set import competitors, look_alike
-from planrunner.gap.hypotheses.outside import BURSTS, _here_and_there, scopes_of
+from planrunner.gap.hypotheses.outside import BURSTS, ENERGIES, _now_and_then, scopes_of
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
-from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets, _windows, whole_and_largest
+from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets, _windows
 from planrunner.plan.schedule import RecordedMotion, Rest, Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Fault, kept, record
 
@@ -86,20 +90,54 @@ def test_an_offset_of_most_of_a_segment_is_no_event_of_a_few_seconds(begin: floa
     assert diagnose(record(seed=62, fault=fault)).verdict.kind == "unknown"
 
 
-def test_a_single_event_is_that_of_one_window() -> None:
-    whole, largest = whole_and_largest(np.array([[3.0], [1.0], [0.5], [2.0]]))
-    assert (whole[0], largest[0]) == (6.5, 3.0)
-    assert not whole_and_largest(np.empty((0, 2))).any()
+def test_events_have_a_common_unknown_rate() -> None:
+    """Three events in 500 s, by the Poisson probabilities of each number of events; a cause in their channels leaves one event."""
+    gains, rate = np.array([20.0, 30.0, 25.0]), RATES[:, None]
+    events = Events(gains, (frozenset({0}), frozenset({1, 2}), frozenset({1})), 500.0)
+    sums = {0: 1.0, 1: np.exp(gains).sum(), 2: sum(np.exp(gains.sum() - gains)), 3: np.exp(gains.sum())}
+    counts = np.array(list(sums))
+    each = poisson.pmf(counts, rate * 500) * [factorial(n) / 500**n * sums[n] for n in sums]
+    np.testing.assert_allclose(events.log_bayes(), np.log(each.sum(1)))
+    np.testing.assert_allclose(events.log_bayes([0, 2]), np.log1p(RATES * np.exp(25)) - RATES * 500)
+    assert averaged_over_rates(events.log_bayes()) == pytest.approx(np.log(each.sum(1).mean()))
+    assert averaged_over_rates(np.full((2, 4), -1.0)).tolist() == [0.0, 0.0]
 
 
-def test_a_single_event_is_in_each_window_with_the_same_probability() -> None:
-    """A Bayes factor of e²⁰ in one of 200 windows, and 1 elsewhere."""
-    windows = np.zeros((200, 3))
-    windows[17] = 20.0
-    assert _here_and_there(windows, 1)[1] == pytest.approx(20.0 - np.log(200), abs=1e-6)
-    windows[18:20] = 20.0  # it lasts for three windows; all durations up to four windows are equally probable
-    expected = 60.0 + np.log(1 / 198 + 2 / 197) - np.log(4)  # among them, two durations of four windows contain it
-    assert _here_and_there(windows, 4)[1] == pytest.approx(expected, abs=1e-6)
+def test_an_event_outside_the_coefficients_has_a_limited_size() -> None:
+    """One of 200 windows of 2 s shows an event in one of two channels."""
+    quiet = np.zeros((200, len(ENERGIES)))
+    for size in (20.0, 300.0):
+        loud = quiet.copy()
+        loud[17] = size
+        chance = 1 - np.exp(-2 * RATES)
+        expected = np.log(1 - chance + chance * (np.exp(min(size, 50.0)) + 1) / 2)
+        np.testing.assert_allclose(_now_and_then([[loud], [quiet]], 2.0), expected)
+
+
+def _events(sizes: Sequence[tuple[int, int, float]]) -> Fault:
+    """Offsets of 2 s in the gyros. sizes: of each offset, its segment, its axis, and its size in standard deviations of a sample."""
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        out = np.zeros_like(omega)
+        for segment, axis, size in sizes:
+            since = observed.time - observed.time[observed.bounds[segment]] - 6
+            out[:, axis] += size * SIGMA * ((observed.owner == segment) & (since >= 0) & (since < 2))
+        return out, 0.0
+
+    return fault
+
+
+@pytest.mark.parametrize("beside", [0.0, 1.5e-4])
+def test_several_events_of_independent_channels_are_noise(beside: float) -> None:
+    """Four events of about six standard deviations, alone and beside an asymmetry. No cause of theirs is certain."""
+    events = _events([(3, 0, 1.3), (9, 1, -1.2), (17, 2, 1.4), (25, 1, 1.2)])
+
+    def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
+        return beside * np.abs(omega) + events(observed, omega, force, draw)[0], 0.0
+
+    found = diagnose(record(seed=62, fault=fault))
+    assert found.verdict.effects == (("gyro_scale_asymmetry",) if beside else ())
+    assert sum(p for name, p in found.posterior.probability.items() if "unknown" in name.split("+")) < 0.5
 
 
 @pytest.mark.parametrize(("segments", "something_else"), [([9], False), ([3, 9, 17], True)])

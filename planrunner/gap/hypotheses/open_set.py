@@ -102,11 +102,11 @@ def _with_events(
     patterns: _Patterns, each: dict[Pattern, Array], several: float, events: Events, outside_: Array, beside: float
 ) -> float:
     """Returns the log Bayes factor of "something else" in noise with events. Beside a pattern, only events in other channels count:
-    they are independent of the pattern, so the result is a lower limit. Bursts explain the events outside the coefficients. `each`:
-    log Bayes factor of each pattern in each scope. `several`: log Bayes factor of combinations of patterns. `events`, `outside_`: the
+    they are independent of the pattern, so the result is a lower limit. Bursts explain the events outside the coefficients, and
+    combinations of patterns may contain bursts. `each`: log Bayes factor of each pattern in each scope. `several`: log Bayes factor of combinations of patterns. `events`, `outside_`: the
     events in the coefficients, and the log Bayes factor of those outside them. `beside`: log Bayes factor of tones and bursts."""
     elsewhere = np.array([events.log_bayes(scope) for scope in patterns.scopes])
-    forms = [several + float(averaged_over_rates(outside_))]
+    forms = [several]
     for pattern, value in each.items():
         own = elsewhere if len(value) == len(patterns.scopes) else np.zeros((1, len(RATES)))
         if pattern.sort in (Sort.TONE, Sort.BURSTS):

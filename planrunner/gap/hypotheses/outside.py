@@ -430,9 +430,8 @@ def _here_and_there(windows: Array) -> float:
 
 
 def _now_and_then(forms: Sequence[Sequence[Array]], length: float) -> Array:
-    """Returns the log Bayes factor of events of the noise at each rate, shape (Q,). Each event has its own channels, form and energy, of
-    at most that of ten standard deviations. `forms`: the result of `_forms`. `length`: length of the windows, s."""
-    small = np.array([part[:, ENERGIES <= 2 * LARGEST] for own in forms for part in own])
-    each = log_mean_exp(np.minimum(small, LARGEST).transpose(1, 0, 2).reshape(small.shape[1], -1), 1)
+    """Returns the log Bayes factor of events of the noise at each rate, shape (Q,). Each event has its own channels, form and energy,
+    and at most the evidence `LARGEST`. `forms`: the result of `_forms`. `length`: length of the windows, s."""
+    each = np.array([log_mean_exp(np.minimum(part, LARGEST), 1) for own in forms for part in own])
     chance = -np.expm1(-RATES * length)[:, None]
-    return np.asarray(np.logaddexp(np.log1p(-chance), np.log(chance) + each).sum(1))
+    return np.asarray(np.logaddexp(np.log1p(-chance), np.log(chance) + log_mean_exp(each, 0)).sum(1))

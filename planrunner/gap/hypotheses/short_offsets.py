@@ -36,6 +36,7 @@ from planrunner.gap.hypotheses.outside import CHANCES, KEPT, LENGTHS
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 
 SHORT_OFFSETS = Pattern("offset for a few seconds", Sort.SEVERAL, Factor.TIME)
+LONGER = 8.0  # s, length of further windows: an offset of such a window is too long for an event of the noise
 STEPS = 2  # number of windows that begin within the length of a window, as far as whole samples allow
 MOST = 16  # largest number of offsets that are fitted
 COMPARED = 8  # number of windows with the largest energy of the fit, for which the evidence is computed
@@ -44,7 +45,7 @@ LONGEST = (
 )  # largest number of windows of one length times coefficients of a channel; longer runs are not examined
 
 _AT_ONCE = 16  # number of segments whose coefficients are whitened together
-_ROUNDING = 1e-6  # s, by which events may last longer than half of a segment
+_ROUNDING = 1e-6  # s, by which events may last longer than allowed
 _NOTHING = 1e-9  # fraction of the largest energy of a window; smaller energies are rounding errors
 
 
@@ -96,7 +97,7 @@ class ShortOffsets:
     same weights for the other triad."""
 
     def __init__(self, weighing: Weighing):
-        made = (_windows(weighing, length) for length in LENGTHS)
+        made = (_windows(weighing, length) for length in (*LENGTHS, LONGER))
         self._windows = [windows for windows in made if windows is not None]
         self._lasting = weighing.observed.counts / weighing.observed.sample_rate
         self._known: dict[tuple[Left, ...], float] = {}
@@ -117,11 +118,12 @@ class ShortOffsets:
 
     def events(self, scopes: Sequence[Sequence[int]], channels: Sequence[Left]) -> Events:
         """Returns the events of the noise. The most probable event is found first. It is fitted, and the next one is then found in the
-        remaining data. All scopes and lengths are equally probable. The events of a segment together last for at most half of it:
-        longer ones may be an offset of the whole segment."""
-        lasting = self._lasting
+        remaining data. All scopes and lengths are equally probable. The events of a segment together last for at most 4 s, and at most
+        for half of the segment: longer ones may be an offset of the segment."""
+        lasting, most = self._lasting, np.minimum(self._lasting / 2, max(LENGTHS))
         parts = [self._of(left) for left in channels]
-        forms = [(scope, length) for scope in range(len(scopes)) for length in range(len(self._windows))]
+        short = [number for number, windows in enumerate(self._windows) if windows.length <= max(LENGTHS)]
+        forms = [(scope, length) for scope in range(len(scopes)) for length in short]
         whole = {form: np.sum([parts[c][form[1]].size for c in scopes[form[0]]], axis=0) for form in forms}
         cost = np.log(max(len(forms), 1)) - np.log(RATES.max())
         covered, stale = np.zeros(len(lasting)), set(forms)
@@ -132,7 +134,7 @@ class ShortOffsets:
             for form in stale:
                 scope, length = form
                 windows = self._windows[length]
-                free = (covered + windows.length <= lasting / 2 + _ROUNDING)[windows.segment]
+                free = (covered + windows.length <= most + _ROUNDING)[windows.segment]
                 prior = np.where(free, np.log(windows.share * windows.length), -np.inf)
                 likeliest[form] = _best([parts[c][length] for c in scopes[scope]], whole[form], prior, cost)
             best = max(forms, key=lambda form: likeliest[form][0])
@@ -217,21 +219,41 @@ def _products(left: Left, rows: NDArray[np.int64]) -> Array:
 
 
 def _evidence(windows: _Windows, parts: Sequence[_Channel]) -> float:
-    """Returns the log Bayes factor of offsets in the same windows of several channels (`parts`)."""
-    whole, prior = np.sum([part.size for part in parts], axis=0), np.log(windows.share)
+    """Returns the log Bayes factor of offsets in the same windows of several channels (`parts`). With equal probability, each offset has
+    a size of its own, or all offsets have the same size: a cause that acts for a few seconds at a time often has the same strength each
+    time."""
+    whole, prior, first = np.sum([part.size for part in parts], axis=0), np.log(windows.share), parts
     gains: list[float] = []
+    found: list[int] = []
     least = -_odds(max(CHANCES))
     while len(gains) < MOST:
         gain, best = _best(parts, whole, prior, least)
         if gain <= least:
             break
         gains.append(gain)
+        found.append(best)
         parts = [part.without(best) for part in parts]
+    alike = _alike(first, found) + np.cumsum(prior[np.array(found, dtype=int)])
     total = []
     for chance in CHANCES:
-        more = np.maximum(np.array(gains) + _odds(chance), 0.0)
-        total.append(windows.count * np.log1p(-chance) + more.sum())
+        own = np.maximum(np.array(gains) + _odds(chance), 0.0).sum()
+        same = alike + np.arange(1, len(found) + 1) * _odds(chance)
+        both = np.logaddexp.reduce([own, *same[1:]]) - np.log(2.0)
+        total.append(windows.count * np.log1p(-chance) + both)
     return float(log_mean_exp(np.array(total), 0))
+
+
+def _alike(parts: Sequence[_Channel], found: Sequence[int]) -> Array:
+    """Returns the log Bayes factor of offsets of the same size in the first windows of `found`, for each number of windows, shape
+    (len(found),)."""
+    size, score = np.zeros((len(found), len(parts))), np.zeros((len(found), len(parts)))
+    for index, part in enumerate(parts):
+        column = np.zeros(len(part.residual))
+        for number, window in enumerate(found):
+            column = column + part.outside(window)
+            size[number, index], score[number, index] = column @ column, column @ part.residual
+    unit = np.maximum(size.sum(1, keepdims=True), 1e-300)
+    return averaged(from_eigen(size / unit, score**2 / unit, 1.0))
 
 
 def _best(parts: Sequence[_Channel], whole: Array, prior: Array, least: float) -> tuple[float, int]:
@@ -284,13 +306,17 @@ class _Channel:
     def column(self, window: int) -> tuple[Array, float]:
         """Returns the whitened offset of a window outside the basis, with the norm 1, as an array (M,), and its product with the
         residual."""
+        column = self.outside(window)
+        column /= max(float(np.linalg.norm(column)), 1e-300)
+        return column, float(column @ self.residual)
+
+    def outside(self, window: int) -> Array:
+        """Returns the whitened offset of a window outside the basis, shape (M,)."""
         coefficients, rows = self.windows.of(window)
         at, whitened = self.left.whitened(coefficients[:, None], rows)
         column = np.zeros(len(self.residual))
         column[at] = whitened[:, 0]
-        column -= self.basis @ (self.basis.T @ column)
-        column /= max(float(np.linalg.norm(column)), 1e-300)
-        return column, float(column @ self.residual)
+        return np.asarray(column - self.basis @ (self.basis.T @ column))
 
     def fitted(self, column: Array, amount: float) -> _Channel:
         """Returns the channel after an offset has been fitted. `column`, `amount`: the results of the method `column`, for a window of
