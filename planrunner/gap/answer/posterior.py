@@ -183,7 +183,11 @@ def posterior(
                 wide = weighing.inflated(ratios.tolist())
                 again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, sets)
                 named = _shared(
-                    {name: value + log_prior(name, count) + gains[name] for name, value in again.items() if name in found}
+                    {
+                        name: value + log_prior(name, count) + gains[name]
+                        for name, value in again.items()
+                        if name in found
+                    }
                 )
             singles = [(name, by_id[name].best) for name in chain[-1][0].split("+")]
             imitated, more, further = _with_something_else(weighing, [*singles[::-1], *chain], found, count)

@@ -8,7 +8,8 @@ offsets of a few seconds (`short_offsets`), and a bias that repeats with an unkn
 effects, individually and in combination.
 
 In array shapes, M is the number of coefficients of a channel, K is the number of channels, S is the number of segments, G is the
-number of settings of the noise (levels of flicker and random walk), and Q is the number of rates of events. A scope is a channel or a triad.
+number of settings of the noise (levels of flicker and random walk), and Q is the number of rates of events. A scope is a channel or a
+triad.
 """
 
 from __future__ import annotations
@@ -74,9 +75,7 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
     patterns, beyond = _Patterns(weighing), outside_ or outside(weighing)
     several, with_events = np.full(len(weighing.base), -np.inf), np.full(len(weighing.base), -np.inf)
     events = np.zeros((len(weighing.base), len(RATES)))
-    tones_or_bursts = float(
-        log_mean_exp(np.array([log_mean_exp(value, 0) for value in beyond.log_bayes.values()]), 0)
-    )
+    tones_or_bursts = float(log_mean_exp(np.array([log_mean_exp(value, 0) for value in beyond.log_bayes.values()]), 0))
     each = {}
     for g in settings:
         channels = [whole[id(weight)] for weight in _weights(weighing, int(g))]
@@ -103,8 +102,11 @@ def _with_events(
 ) -> float:
     """Returns the log Bayes factor of "something else" in noise with events. Beside a pattern, only events in other channels count:
     they are independent of the pattern, so the result is a lower limit. Bursts explain the events outside the coefficients, and
-    combinations of patterns may contain bursts. `each`: log Bayes factor of each pattern in each scope. `several`: log Bayes factor of combinations of patterns. `events`, `outside_`: the
-    events in the coefficients, and the log Bayes factor of those outside them. `beside`: log Bayes factor of tones and bursts."""
+    combinations of patterns may contain bursts.
+
+    `each`: log Bayes factor of each pattern in each scope. `several`: log Bayes factor of combinations of patterns. `events`: the events
+    in the coefficients. `outside_`: array of shape (Q,), log Bayes factor of the events outside them. `beside`: log Bayes factor of
+    tones and bursts."""
     elsewhere = np.array([events.log_bayes(scope) for scope in patterns.scopes])
     forms = [several]
     for pattern, value in each.items():

@@ -53,10 +53,10 @@ _NOTHING = 1e-9  # fraction of the largest energy of a window; smaller energies 
 class _Windows:
     """Contains windows of one length.
 
-    `length`: length of the windows, s. `coefficients`: array of shape (W, m), the coefficients that an offset of 1 in each window causes in its segment; zero beyond the
-    number of coefficients of the segment. `segment`: array of shape (W,), index of the segment of each window. `share`: array of shape
-    (W,), the distance between the beginnings of successive windows, divided by their length. `rows`: array of shape (S, m), indices of
-    the coefficients of each segment, −1 beyond their number.
+    `length`: length of the windows, s. `coefficients`: array of shape (W, m), the coefficients that an offset of 1 in each window causes
+    in its segment; zero beyond the number of coefficients of the segment. `segment`: array of shape (W,), index of the segment of each
+    window. `share`: array of shape (W,), the distance between the beginnings of successive windows, divided by their length. `rows`:
+    array of shape (S, m), indices of the coefficients of each segment, −1 beyond their number.
     """
 
     length: float
@@ -191,7 +191,9 @@ def _windows(weighing: Weighing, length: float) -> _Windows | None:
         shares.append(np.full(len(starts), step / size))
     if not coefficients:
         return None
-    return _Windows(length, np.concatenate(coefficients), np.concatenate(owners), np.concatenate(shares), _rows(weighing))
+    return _Windows(
+        length, np.concatenate(coefficients), np.concatenate(owners), np.concatenate(shares), _rows(weighing)
+    )
 
 
 def _rows(weighing: Weighing) -> NDArray[np.int64]:
