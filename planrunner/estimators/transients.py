@@ -52,7 +52,7 @@ _LEAST = 0.1  # smallest mean square of the deviations at the other end that is 
 def transient_words(
     segments: Sequence[RecordedSegment], channels: Collection[str], sensor: SensorModel
 ) -> tuple[Said, ...]:
-    """Warns of each output that has a transient in common at the beginning or at the end of the segments. `channels`: the channels
+    """Warns of each output with a transient that segments have in common at their beginning or at their end. `channels`: the channels
     to check; if empty, all outputs of the sensor. Only segments in which the input of the output is constant are used. The element
     of a stabilised platform drifts while the platform rests, so its inputs are not constant. The supply voltage and the ambient
     pressure are not constant either."""

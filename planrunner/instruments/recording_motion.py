@@ -66,10 +66,10 @@ def turns_compared(gyro: Array, accel: Array, begin: Array, end: Array, still: S
     """Compares gyros with accelerometers over the turns between the intervals at rest `still`.
 
     Returns None if there are fewer than `LEAST_TURNS` turns, or if no combination of a unit and an assignment of axes makes gyros and
-    accelerometers agree. Also returns None if two units do. If several assignments of axes do, those axes are left empty in which
-    they differ, except that the axes count as equal to those of the accelerometers if nothing contradicts this. `gyro`, `accel`:
-    arrays of shape (n, 3), averages of the outputs over n windows. `begin`, `end`: arrays of shape (n,), start and end times of the
-    windows, s."""
+    accelerometers agree. Also returns None if they agree in two units. If they agree with several assignments of axes, the axes of
+    the accelerometers are used, unless the turns contradict this; otherwise, the axes that differ between the assignments are left
+    empty. `gyro`, `accel`: arrays of shape (n, 3), averages of the outputs over n windows. `begin`, `end`: arrays of shape (n,),
+    start and end times of the windows, s."""
     turns = list(_turns(gyro, accel, begin, end, still))
     if len(turns) < LEAST_TURNS:
         return None
@@ -93,8 +93,9 @@ def turns_compared(gyro: Array, accel: Array, begin: Array, end: Array, still: S
 def _contradicted(errors: Array, best: Array) -> bool:
     """Returns True if the turns contradict an explanation.
 
-    They do if its median error is large, or if its error is large in some turns that the best explanation describes, and hardly any
-    turn speaks for it. `errors`, `best`: arrays of shape (n,), errors [deg] of the explanation and of the best one in each turn."""
+    There are two cases. First, the median error of the explanation is large. Second, its error is large in some turns that the best
+    explanation describes, and hardly any turn supports it. `errors`, `best`: arrays of shape (n,), errors [deg] of the explanation
+    and of the best explanation in each turn."""
     if float(np.median(errors)) > max(_AGREES, _CLEARLY * float(np.median(best))):
         return True
     against = np.count_nonzero((errors > np.maximum(_AGREES, _CLEARLY * best)) & (best < _AGREES))

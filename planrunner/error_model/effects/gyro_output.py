@@ -188,7 +188,8 @@ class _Below(_OneSided):
 
 class GyroSaturationAsymmetric:
     """Clips the output at +upper and at −lower. The limits differ, for example because an offset is added to the output before
-    clipping. It is a hypothesis only if many readings stand at a limit that other readings exceed in the other direction."""
+    clipping. It is a hypothesis only if many readings are equal to a limit, and other readings exceed this limit in the other
+    direction."""
 
     id, stage, hypothesis = "gyro_saturation_asymmetric", "output", False
     about = About(

@@ -120,9 +120,9 @@ class Spectrum:
 
     def of_turns(self, observed: Observed, signals: Sequence[Array]) -> tuple[Spectrum, NDArray[np.bool_]]:
         """Returns a copy that projects columns with few samples of each segment in which the table turns at a constant rate, and a
-        mask (N,) of the remaining samples. All columns of such a segment must be functions of the table's angle alone. From
-        `NODES` samples that are spread over a turn, the trigonometric polynomial through these samples is projected. This is exact
-        for smooth functions, and an approximation for functions with an edge. A segment keeps all its samples if the table makes
+        mask (N,) of the remaining samples. All columns of such a segment must be functions of the table's angle alone. The
+        trigonometric polynomial through `NODES` samples, which are spread over a turn, is projected. This is exact for smooth
+        functions, and an approximation for functions with an edge. A segment keeps all its samples if the table makes
         less than a turn, or if one of the `signals`, arrays of shape (N,), is not such a polynomial. Like `of_constant`, the copy
         is only for `project`."""
         bases, kept = list(self.bases), np.ones(len(observed.time), dtype=bool)

@@ -584,9 +584,9 @@ class Weighing:
         return float(np.logaddexp.reduce(terms))
 
     def transposed_at(self, weighed: Weighed, setting: int) -> dict[int, Array]:
-        """Returns, for each channel on which a variant acts, the columns (M, p) of which the inner products with columns of coefficients
-        are those of the whitened, projected columns: Wᵀ·y, where y are the whitened, projected columns of the variant, and W is the
-        matrix that whitens coefficients at one setting of the noise."""
+        """Returns Wᵀ·y, shape (M, p), for each channel on which a variant acts. Here y are the whitened, projected columns of the
+        variant, and W is the matrix that whitens coefficients at one setting of the noise. The inner product of Wᵀ·y with columns of
+        coefficients that are not whitened equals the inner product of y with the whitened columns."""
         acting = {channel for column in weighed.variant.columns for channel in column.parts}
         pairs = enumerate(self.whitened_at(weighed, setting))
         return {channel: weight.transposed(columns) for channel, (weight, columns) in pairs if channel in acting}

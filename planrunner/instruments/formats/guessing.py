@@ -321,7 +321,7 @@ def _width(row: Sequence[str]) -> int:
 
 
 def _in_two_lines(groups: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """Returns the names of columns that two lines state: a name in the line above belongs to all columns up to the next one, such as
+    """Returns the names of columns that two lines state: a name in the line above belongs to all columns up to the next name, such as
     `Gyroscope,,,Accelerometer,,` above `X,Y,Z,X,Y,Z`. The result is empty if these names are not unique either."""
     if len(groups) > len(names) or not groups[0] or sum(map(bool, groups)) < 2:
         return ()
@@ -337,7 +337,7 @@ def _row_names(names: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
 
     Some programs write such a column, but no name for it. The numbers of the first column must increase. If the first name denotes
     a time or a counter, the second column must increase, too, and the first one must count the rows. `names`: the names of all
-    columns but one. `rows`: the cells of the first rows."""
+    other columns. `rows`: the cells of the first rows."""
     columns = [[_plain_number(row[k]) for row in rows] for k in (0, 1)]
     rising = [len(column) > 3 and all(a < b for a, b in itertools.pairwise(column)) for column in columns]
     if not (_TIME.search(names[0]) or _COUNT.search(names[0])):
@@ -437,7 +437,7 @@ def _names_above(lines: Sequence[Sequence[str]], width: int, rows: Sequence[Sequ
     names.
 
     In some files, a line of units follows the names. In this case, each unit is added to the name of its column. The line of names
-    may have more or fewer cells than the rows, or begin with a comment sign. If it has one cell less than the rows, and the first
+    may have more or fewer cells than the rows, or begin with a comment sign. If it has one cell fewer than the rows, and the first
     column contains the number of the row, the first name belongs to the second column. `lines`: the cells of the lines before the
     first row. `rows`: the cells of the first rows."""
     numbered = tuple(f"column_{k + 1}" for k in range(width))
