@@ -353,7 +353,7 @@ def _probable_shapes(best: Weighed, candidate: Candidate) -> list[tuple[Weighed,
 def closure(
     weighing: Weighing, noise: MeasuredNoise, choices: Sequence[FoldChoice], beyond: float, named: str
 ) -> Closure:
-    """Computes the closure. `choices`: the effects and sets of effects among which each fold chooses again. `beyond`: probability
+    """Computes the closure. `choices`: the effects and sets of effects from which each fold chooses one. `beyond`: probability
     that none of `choices` is the whole cause. `named`: the effect or set of the verdict, which is one of `choices`."""
     if not choices:
         return not_measured(NotMeasured.NO_EFFECT)
