@@ -195,7 +195,7 @@ def plan_of(look: Look, name: str) -> str:
                 f"    segments: {still}",
             ]
         diagnosis = ["diagnosis:", "  nominal: [accel_bias]", f"  segments: {still}"]
-    elif look.still_share > STILL and live and look.other_rate is None:
+    elif look.still_share > STILL and live and directions <= 1 and look.other_rate is None:
         estimates = [
             "  noise:",
             "    estimator: allan_deviation",

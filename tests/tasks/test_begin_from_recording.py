@@ -593,3 +593,12 @@ def test_names_in_two_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     said = begun(file, capsys=capsys)
     assert units(said) == {**{f"gyro_{x}": "rad/s" for x in "xyz"}, **{f"accel_{x}": "m/s^2" for x in "xyz"}}
     assert main(["check", str(tmp_path / "begun.yaml"), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
+
+
+def test_rest_in_two_orientations_gets_no_allan_deviation(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The accelerometers change by 2 g from the first to the second half, which is no noise."""
+    draw = np.random.default_rng(11)
+    time = np.arange(12_000) / 100 + 60.0 * (np.arange(12_000) >= 6000)
+    accel = np.outer(np.where(time < 60, 9.81, -9.81), [1, 0, 0]) + draw.normal(0, 0.004, (12_000, 3))
+    begun(csv(tmp_path / "r.csv", NAMES, time, draw.normal(0, 2e-4, accel.shape), accel), capsys=capsys)
+    assert "allan_deviation" not in (tmp_path / "begun.yaml").read_text()
