@@ -30,7 +30,7 @@ class VirtualClock:
 
 
 class WallClock:
-    """A clock of real time. This clock is monotonic: it does not jump if the computer's clock is set.
+    """A real-time clock. This clock is monotonic: it does not jump if the computer's clock is set.
 
     A sleep is interruptible: about every `slice` seconds it calls the callback given to `attend`, and it ends early if the callback
     returns True. `speed`: seconds of this clock per second of real time, for a bench whose simulated instruments run faster.

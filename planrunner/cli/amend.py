@@ -1,5 +1,5 @@
 """`planrunner amend`: evaluates a run again and stores a new analysis with the person, the time and the reason. The earlier
-analyses stay."""
+analyses are kept."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ FARTHEST = 150.0
 """Largest difference, K, between the temperature of a sensor and the planned temperature: an oven of 85 degC in a chamber at -55
 degC makes a difference of 140 K."""
 NEAR = 60.0
-"""Readings agree with another unit than the declared one if, in the other unit, they differ from the planned temperature by at most
+"""Readings agree with a unit other than the declared one if, in that unit, they differ from the planned temperature by at most
 this value, K."""
 LEAST_CHANGE = 25.0
 """Smallest change of the planned temperature, K, with which the change of the readings is compared. Self-heating of the sensor may

@@ -67,7 +67,7 @@ def verdict_kind(limits: Sequence[LimitVerdict], failures: Mapping[str, str], wa
 def hold(limit: Limit, estimates: Mapping[str, Estimate]) -> LimitVerdict:
     """Returns the verdict on one limit (`plan.model.Limit`). A circular coefficient is first shifted by whole turns until it is as
     near as possible to the middle between the two bounds of the limit. Raises `EstimationError` if the quantity of the limit is
-    missing or has another dimension than the limit."""
+    missing or has a dimension other than that of the limit."""
     coefficient = _coefficient(limit.quantity, estimates)
     lower, upper = bounds(limit, coefficient)
     u, freedom = coefficient.standard_uncertainty, coefficient.degrees_of_freedom

@@ -223,7 +223,7 @@ class Look:
 
     @property
     def named_accel(self) -> str:
-        """Returns a sentence about accelerometers whose vector at rest has the length of gravity in another unit than the unit that
+        """Returns a sentence about accelerometers whose vector at rest has the length of gravity in a unit other than the one that
         their names state; empty if the units agree or are not known."""
         accels = [one for one in self.channels if one.sensed == "accel" and one.source == "name" and not one.increments]
         if len(accels) != 3 or not self.still or len({one.unit for one in accels}) != 1:

@@ -80,9 +80,9 @@ def smoothed(time: Array, values: Array) -> Temperature:
 
 def settled(recording: Sequence[RecordedSegment], parts: Sequence[dict[str, Array]], known: Sequence[float]) -> None:
     """Replaces the temperatures of segments at a common constant setpoint by their mean, if the thermometer shows no significant
-    difference between the segments (χ² test at 1 %). `known`: standard uncertainty of the temperature of each segment, NaN if the
-    temperature is not constant. `parts`: the samples of each segment, by name of the quantity. The temperatures in `parts` are
-    changed in place."""
+    difference between the segments (χ² test at a significance level of 1 %). `known`: standard uncertainty of the temperature of each
+    segment, NaN if the temperature is not constant. `parts`: the samples of each segment, by name of the quantity. The temperatures in
+    `parts` are changed in place."""
     from scipy.special import chdtrc
 
     setpoints = [item.segment.temperature if item.segment.ramp_to is None else None for item in recording]

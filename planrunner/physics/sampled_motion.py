@@ -22,7 +22,7 @@ limits the error of the angle if the table covers only a small part of a turn.""
 
 FOREIGN = 3.0
 """If the measured variation of the input once per turn is at least this many times as large as the expected variation, it has
-another cause than the rotation of the Earth."""
+a cause other than the rotation of the Earth."""
 
 
 class AngleFrom(StrEnum):

@@ -288,7 +288,8 @@ def half_drift(groups: Sequence[Group], axis: int, sigma: Array, shared: bool) -
 
 
 def moved_further(groups: Sequence[Group], sigma: Array, flicker: Sequence[CorrelatedError]) -> set[int]:
-    """Returns the axes whose zeros drifted by more than noise and declared flicker explain, by a χ² test of all drifts at 1 %.
+    """Returns the axes whose zeros drifted by more than noise and declared flicker explain, by a χ² test of all drifts at a significance
+    level of 1 %.
 
     `sigma`: array of shape (N, m), standard uncertainty of each segment's mean from noise. Without noise and flicker, any drift
     counts as too large.

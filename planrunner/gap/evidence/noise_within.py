@@ -187,11 +187,11 @@ class NoiseWithin:
         return self._between(self.spectrum[kind], frequency)
 
     def whitened(self, segment: int, samples: Array, half: float) -> Array:
-        """Returns the samples (n, K) of a segment after the noise at low frequencies, where it exceeds the noise at all higher
-        frequencies, has been reduced to it. The coefficients of the cosine transform are divided by the square root of the spectrum
-        that `_falling` returns. Low frequencies with less noise are not amplified, because the ends of a segment and slow changes
-        of the noise would then look like bursts. The bands of the segment itself are not used, because a burst raises them.
-        `half`: half of the sampling rate of the samples, Hz."""
+        """Returns the samples (n, K) of a segment with less noise at low frequencies. Where the noise exceeds the noise at all
+        higher frequencies, it is reduced to their level. The coefficients of the cosine transform are divided by the square root of the
+        spectrum that `_falling` returns. Low frequencies with less noise are not amplified, because the ends of a segment and slow changes
+        of the noise would then look like bursts. The bands of the segment itself are not used, because a burst raises them. `half`: half of
+        the sampling rate of the samples, Hz."""
         from scipy.fft import dct, idct
 
         kind = int(self.moving[segment])

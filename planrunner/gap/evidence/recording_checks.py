@@ -134,7 +134,7 @@ def check_observed(observed: Observed, where: str, log: Findings) -> None:
                     f"the fit of bias, scale factor and misalignments does not explain {share:.0%} of the applied input"
                 )
                 message = f"'{channel.name}' does not follow the plan: {left_over}"
-                # At another place than the reference, an accelerometer may measure a larger acceleration than the common one.
+                # At a place other than that of the reference, an accelerometer may measure a larger acceleration than the common one.
                 add = log.warning if observed.moved.any() else log.error
                 add("gap-nominal-misfit", mark, message, _LOOK)
             elif told and float(np.abs(fitted[:3, column] - np.eye(3)[channel.axis]).max()) > MISFIT:

@@ -252,7 +252,7 @@ def _upward(observed: Observed, segment: int) -> Hashable:
 def sizes(weighing: Weighing, signatures: Sequence[Array]) -> PatternDesign:
     """Makes a pattern in which an effect has a separate size for each motion: for each rate of turning, for each frequency and
     amplitude of rocking, and for each segment of a recorded motion. A cause outside the catalogue that resembles the effect usually
-    depends on the motion in another way than the effect does.
+    depends on the motion in a different way from the effect.
 
     `signatures`: for each channel, the coefficients (M,) that the effect causes."""
     motions = [_speed(motion, index) for index, motion in enumerate(weighing.observed.motions)]
