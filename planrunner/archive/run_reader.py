@@ -1,7 +1,7 @@
 """Reads a run folder: the plan, the bench, the valid segments, their statistics, and their samples in blocks.
 
 While the samples of a file are used, another thread reads the next file and checks its digest. Reading and hashing release the
-interpreter's lock, so both happen at the same time. At most one file is read ahead, so that memory does not grow with the
+interpreter's lock, so both happen at the same time. At most one file is read ahead, so that the memory use does not grow with the
 recording.
 """
 

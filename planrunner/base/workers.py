@@ -2,7 +2,7 @@
 cluster.
 
 The results do not depend on the computer, for three reasons: `work` is a pure function of one item, the random numbers depend on
-the item and not on the worker, and the results have the order of the items. `processes` and `cluster` are the two backends.
+the item and not on the worker, and the results are in the order of the items. `processes` and `cluster` are the two backends.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 samples.
 
 Samples are read in pieces of fixed size, counted from the start of the segment. The findings therefore do not depend on the
-division into blocks, and memory does not grow with the data. For most pieces, a few sums are sufficient. Only a piece with a large
+division into blocks, and the memory use does not grow with the data. For most pieces, a few sums are sufficient. Only a piece with a large
 change between neighbours is examined further.
 
 *Spikes and bursts.* A sample is an outlier if it lies more than g scale estimates from the median of the samples around it (the
