@@ -252,5 +252,5 @@ WatcherOf = Callable[[Segment, Mapping[str, str], int], Watcher]
 
 
 def in_time_order(recording: Sequence[RecordedSegment]) -> tuple[RecordedSegment, ...]:
-    """Returns the segments in order of time, regardless of their order in the plan; segments without samples come last."""
+    """Returns the segments in chronological order, regardless of their order in the plan; segments without samples come last."""
     return tuple(sorted(recording, key=lambda item: item.statistics.start if item.statistics.count else math.inf))

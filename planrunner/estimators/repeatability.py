@@ -618,7 +618,7 @@ class Grouping:
 def groupings(labels: Sequence[str], pauses: Array | None) -> list[Grouping]:
     """Returns the divisions into groups that a test can use if the plan names no groups: by the labels of the repeats, by long
     pauses, and by thirds of the sequence. If the day, the switch-on or the mounting changed between two groups, repeats of one
-    group agree better than repeats of different groups. The repeats must be in the order of time. Every returned division has
+    group agree better than repeats of different groups. The repeats must be in chronological order. Every returned division has
     at least two groups, and on average more than two repeats per group.
 
     `labels`: labels of the repeats, such as day1/r2 or startup-b-07. The last number in a label counts the repeats of a group.

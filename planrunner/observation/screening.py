@@ -476,7 +476,7 @@ class Screening:
                 self._look_at_filled()
 
     def finds(self) -> tuple[Find, ...]:
-        """Returns all findings, in order of time. The method must be called once, after the last samples."""
+        """Returns all findings, in chronological order. The method must be called once, after the last samples."""
         if self.filled:
             self._look_at_filled()
         self._examine_waiting()

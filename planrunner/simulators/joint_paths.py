@@ -81,7 +81,7 @@ PathPiece = Glide | Swing
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Contains the pieces of one joint's motion in order of time. The last piece has no end. `arrival`: time at which the commanded
+    """Contains the pieces of one joint's motion in chronological order. The last piece has no end. `arrival`: time at which the commanded
     state is reached, s."""
 
     pieces: tuple[PathPiece, ...]

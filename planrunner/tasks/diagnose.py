@@ -486,7 +486,7 @@ def _outputs(plan: Plan) -> tuple[str, ...]:
 
 
 def _chosen(recorded: Recorded) -> tuple[RecordedSegment, ...]:
-    """Returns the segments that the plan's `diagnosis` selects by their labels, in the order of time. If the plan asks for
+    """Returns the segments that the plan's `diagnosis` selects by their labels, in chronological order. If the plan asks for
     intervals at rest, returns the intervals detected in these segments instead."""
     return in_time_order(_meant(recorded))
 

@@ -330,7 +330,7 @@ def _ramps(recorded: RecordedSegment, channel: str, thermometer: str, width: flo
 
 
 def _numbers(ramps: Sequence[_Ramp], width: float) -> list[int]:
-    """Returns the indices of the ramps in order of time; −1 for a ramp whose temperature hardly changes. A ramp that continues the
+    """Returns the indices of the ramps in chronological order; −1 for a ramp whose temperature hardly changes. A ramp that continues the
     preceding ramp in the same direction has the same index as that ramp. `width`: largest difference [K] between the end of a ramp
     and the start of the next ramp for which the next ramp counts as a continuation."""
     found: list[int] = []

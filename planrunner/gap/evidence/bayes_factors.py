@@ -254,7 +254,7 @@ def _at_scales(gram: Array, score: Array, widths: Sequence[int], scales: Array) 
 
 def log_mean_exp(values: Array, axis: int, weights: Array | None = None) -> Array:
     """Returns the logarithm of the mean of exp(values) along an axis; the result has the shape of `values` without this axis.
-    `weights`, if given, must have the sum 1."""
+    `weights`, if given, must sum to 1."""
     top = np.max(values, axis=axis, keepdims=True)
     top = np.where(np.isfinite(top), top, 0.0)
     grown = np.exp(values - top)

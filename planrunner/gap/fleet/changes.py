@@ -1,6 +1,6 @@
 """Finds changes of an amplitude in a fleet: when the amplitude changed, and in which device or on which bench.
 
-The estimates of one amplitude in n runs, in order of time, are the sum of a part for each device, a part for each bench, and
+The estimates of one amplitude in n runs, in chronological order, are the sum of a part for each device, a part for each bench, and
 possibly changes:
 
     y_r = d[device of r] + b[bench of r] + Σ_j x_j·h_j(r) + e_r,    e_r ~ N(0, c²·s_r²)
@@ -108,7 +108,7 @@ class _Tried:
 def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tuple[FleetChange, ...]:
     """Finds the changes of an amplitude, the most significant first.
 
-    `given`: estimates of the amplitude in order of time, with groups for device and bench. `days`: time of every run, in days.
+    `given`: estimates of the amplitude in chronological order, with groups for device and bench. `days`: time of every run, in days.
     `amplitudes`: number of amplitudes that are examined; p-values are corrected for this number of tests.
     """
     time = np.asarray(days, dtype=float)
@@ -131,7 +131,7 @@ def changes(given: Estimates, days: Sequence[float], amplitudes: int = 1) -> tup
 
 def since_steps(found: Sequence[FleetChange], moments: Sequence[str]) -> dict[Source, list[str]]:
     """Returns the moments of steps in the form of `Estimates.since`: for each run, the moment of the latest step of its device or
-    bench at or before this run. `moments`: moment of every run, in order of time. If several sources may have caused a step, the
+    bench at or before this run. `moments`: moment of every run, in chronological order. If several sources may have caused a step, the
     step is attributed to the first of them. A step that all runs have in common does not begin new groups."""
     since = {source: [""] * len(moments) for source in (Source.DEVICE, Source.BENCH)}
     for change in sorted(found, key=lambda one: one.before):

@@ -64,7 +64,7 @@ class ChangePoint:
 
 
 def change_points(values: Array, sigma: Array) -> tuple[ChangePoint, ...]:
-    """Returns all changes of the level in the order of time. `values`: array of shape (n,), the values in the order of time.
+    """Returns all changes of the level in chronological order. `values`: array of shape (n,), the values in chronological order.
     `sigma`: array of shape (n,), positive standard deviations of the values."""
     found = sorted(_search(values, sigma, 0, len(values)))
     edges = [0, *found, len(values)]

@@ -113,7 +113,7 @@ def ewma(
     values: Array, mean: float, sigma: Array, weight: float = LAMBDA, width: float = EWMA_WIDTH, *, steady: bool = False
 ) -> Chart:
     """Returns the exponentially weighted moving average E_i = λ x_i + (1 − λ) E_{i−1} with E_0 = mean. `values`: array of shape (n,
-    …), the values in the order of time. `sigma`: array of shape (n,), or of the shape of `values`.
+    …), the values in chronological order. `sigma`: array of shape (n,), or of the shape of `values`.
 
     The variance of E_i is V_i = λ² σ_i² + (1 − λ)² V_{i−1}. By default, V_0 = 0, so that the first limits are narrower. `steady`:
     True if the recursion starts from V_0 = λ/(2 − λ) σ² instead, as in the handbook. V_0 is then the final value of the variance
@@ -134,7 +134,7 @@ def cusum(
     values: Array, mean: float, sigma: Array, allowance: float = ALLOWANCE, decision: float = DECISION
 ) -> tuple[Chart, Chart]:
     """Returns the tabular CUSUM: sums S⁺_i = max(0, S⁺_{i−1} + z_i − k) and S⁻_i = min(0, S⁻_{i−1} + z_i + k) of z_i = (x_i −
-    mean)/σ_i, with the limits ±h. `values`: array of shape (n, …), the values in the order of time. `sigma`: array of shape (n,),
+    mean)/σ_i, with the limits ±h. `values`: array of shape (n, …), the values in chronological order. `sigma`: array of shape (n,),
     or of the shape of `values`; all elements are positive."""
     sigma = np.broadcast_to(sigma.reshape(sigma.shape + (1,) * (values.ndim - sigma.ndim)), values.shape)
     up, down = np.empty_like(values), np.empty_like(values)
@@ -148,7 +148,7 @@ def cusum(
 
 
 def control_charts(values: Sequence[float], u: Sequence[float], baseline: int = BASELINE) -> ControlCharts | None:
-    """Returns all charts of n ≥ 2 values. `values`, `u`: the values in the order of time, and their standard uncertainties. The
+    """Returns all charts of n ≥ 2 values. `values`, `u`: the values in chronological order, and their standard uncertainties. The
     result is None if there are no limits, because the values do not scatter at all and state no uncertainty."""
     x, s = np.asarray(values, dtype=float), np.asarray(u, dtype=float)
     return charts_about(x, s, centre_of(x, s, baseline)) if len(x) > 1 else None
