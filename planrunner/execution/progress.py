@@ -25,7 +25,7 @@ class SegmentBegun:
 
 @dataclass(frozen=True, slots=True)
 class Advanced:
-    """The event that the run has advanced within a segment. `activity`: what the bench is doing."""
+    """Reports that the run has advanced within a segment. `activity`: what the bench is doing."""
 
     index: int
     label: str

@@ -646,7 +646,7 @@ def guessed_time(
     stated: Sequence[StatedRate] = (),
     units: Mapping[str, str] = NO_UNITS,
 ) -> LikelyTime | None:
-    """Guesses the column of the time from the first rows; None if no column looks like a time.
+    """Guesses from the first rows which column contains the time; None if no column looks like a time.
 
     The following are tried in turn: columns of numbers that have the name of a time; dates and times of day; columns of numbers
     that increase regularly. If there is no such column, a time that several rows share shows at least the sample rate. `first`: the
