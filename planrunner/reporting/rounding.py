@@ -35,7 +35,7 @@ class Rounded:
 def rounded(value: float, standard_uncertainty: float) -> Rounded:
     """Rounds the uncertainty to two significant digits, and the value to the same decimal place. Ties are rounded to even.
 
-    If the uncertainty is zero, the value has seven significant digits. A value that is not finite is written as a word.
+    If the uncertainty is zero, the value has seven significant digits. A value that is not finite is written as `∞`, `-∞` or "not known".
     """
     if not math.isfinite(value):
         return Rounded(_word(value), "" if standard_uncertainty == 0 else _alone(standard_uncertainty))
