@@ -322,27 +322,38 @@ def _width(row: Sequence[str]) -> int:
 
 def _in_two_lines(groups: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
     """Returns the names of columns that two lines state: a name in the line above belongs to all columns up to the next name, such as
-    `Gyroscope,,,Accelerometer,,` above `X,Y,Z,X,Y,Z`. The result is empty if these names are not unique either."""
+    `Gyroscope,,,Accelerometer,,` above `X,Y,Z,X,Y,Z`. The result is empty if these names are not unique either. It is also empty if
+    the name above a repeated name belongs to this column alone and denotes no sensor: the line above then states other facts, such as
+    `Operator,Anna,Table,T1`."""
     if len(groups) > len(names) or not groups[0] or sum(map(bool, groups)) < 2:
         return ()
-    found, last = [], ""
-    for group, name in itertools.zip_longest(groups, names, fillvalue=""):
-        last = group or last
-        found.append(f"{last} {name}".strip())
+    found, starts, last = [], [], 0
+    for column, (group, name) in enumerate(itertools.zip_longest(groups, names, fillvalue="")):
+        last = column if group and group != groups[last] else last
+        starts.append(last)
+        found.append(f"{groups[last]} {name}".strip())
+    for start, name, joined in zip(starts, names, found, strict=True):
+        if names.count(name) > 1 and starts.count(start) == 1 and not guessed_channel(joined).sensed:
+            return ()
     return tuple(found) if len(set(found)) == len(found) else ()
 
 
 def _row_names(names: Sequence[str], rows: Sequence[Sequence[str]]) -> bool:
     """Returns True if the first column of a table has no name, because it contains the numbers or the times of the rows.
 
-    Some programs write such a column, but no name for it. The numbers of the first column must increase. If the first name denotes
-    a time or a counter, the second column must increase, too, and the first one must count the rows. `names`: the names of all
-    other columns. `rows`: the cells of the first rows."""
+    Some programs write such a column, but no name for it. Its numbers must increase by 1 from row to row. If the first name denotes
+    a gyro or an accelerometer, the first column may also contain times, which increase by any step. If the first name denotes a time
+    or a counter, the second column must increase, too. If the last column is empty, each row ends with a separator, and the first
+    name belongs to the first column. `names`: the names of all other columns. `rows`: the cells of the first rows."""
+    if not any(row[-1].strip().strip('"') for row in rows):
+        return False
     columns = [[_plain_number(row[k]) for row in rows] for k in (0, 1)]
     rising = [len(column) > 3 and all(a < b for a, b in itertools.pairwise(column)) for column in columns]
-    if not (_TIME.search(names[0]) or _COUNT.search(names[0])):
+    if guessed_channel(names[0]).sensed in ("gyro", "accel"):
         return rising[0]
-    return all(rising) and all(b - a == 1 for a, b in itertools.pairwise(columns[0]))
+    if not all(rising) and (_TIME.search(names[0]) or _COUNT.search(names[0])):
+        return False
+    return rising[0] and all(b - a == 1 for a, b in itertools.pairwise(columns[0]))
 
 
 def _plain_number(cell: str) -> float:
@@ -445,14 +456,15 @@ def _names_above(lines: Sequence[Sequence[str]], width: int, rows: Sequence[Sequ
         return numbered
     held = [[cell.strip().strip('"').strip() for cell in line] for line in lines]
     direct = len(held[-1]) == width
-    if direct and len(held) > 1 and len(set(held[-1])) < width and (joined := _in_two_lines(held[-2], held[-1])):
-        return joined
     while held and not any(held[-1]):
         held.pop()
     if not held:
         return numbered
     units = [cell for cell in held[-1] if cell]
     of_units = len(held) > 1 and all(_UNIT_ALONE.fullmatch(cell) for cell in units) and len(held[-2]) >= len(units)
+    repeated = len(held) > 1 and len(held[-1]) == width and len(set(held[-1])) < width and not of_units
+    if repeated and (joined := _in_two_lines(held[-2], held[-1])):
+        return joined
     names = held[-2] if of_units else held[-1]
     if len(names) > 1 and re.fullmatch(r"[#%;]+|//+", names[0]):
         names, direct = names[1:], False
