@@ -372,7 +372,7 @@ def _check_chain(found: Examined) -> None:
             )
             found.error("run-cut-short" if basis.events > found.scan.count else "run-analysis-chain", message)
         elif _follows_seal(found, basis) and basis.seal != found.seal_digest:
-            found.error("run-resealed", f"{path}: the analysis was made under another seal than {seals.NAME}")
+            found.error("run-resealed", f"{path}: the analysis was made under a seal other than {seals.NAME}")
         before = analysis
 
 

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--withdraw", action="store_true", help="withdraw all approvals of this plan that your key has given"
     )
-    parser.add_argument("--list", action="store_true", help="list all approvals, and whether they count")
+    parser.add_argument("--list", action="store_true", help="list all approvals, and state for each whether it counts")
     parser.add_argument("--keys", metavar="RING", type=Path, help="with --list: use this key ring")
     parser.add_argument("--json", action="store_true", help="print the approvals as JSON")
 

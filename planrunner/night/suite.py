@@ -105,7 +105,7 @@ class SuiteBench(Record):
     )
     window: NightWindow | None = optional(
         RecordOf(NightWindow),
-        "Hours in which this bench may work. A test on this bench must fit into these hours and into the hours of the suite.",
+        "Hours in which this bench may be used. A test on this bench must fit into these hours and into the hours of the suite.",
         {"from": "20:00", "to": "23:30"},
     )
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planrunner.base.documents import Json, JsonObject
+from planrunner.base.findings import count_of
 from planrunner.estimators.tables import Plot, Role, Shown, Table, TableColumn, alike, table_of
 from planrunner.instruments.models import DataOrigin
 from planrunner.reporting.plots import COLOURS, WIDTH, drawing, plot_svg
@@ -713,7 +714,8 @@ def heat_svg(heat: Data, key: str) -> str:
         _legend(axes, colours, hottest)
         row, column = np.unravel_index(int(np.argmax(np.nan_to_num(values))), values.shape)
         described = f"Largest: {channels[row]} in {segments[column]}, {values[row, column]:.3g} times noise."
-        return save(key, f"Gap of {len(channels)} channels over {len(segments)} segments", described)
+        title = f"Gap of {count_of(len(channels), 'channel')} over {count_of(len(segments), 'segment')}"
+        return save(key, title, described)
 
 
 def _legend(axes: Axes, colours: Colormap, hottest: float) -> None:

@@ -63,7 +63,7 @@ def parse_envelope(data: bytes, kind: str) -> Envelope:
     if not isinstance(value, dict) or set(value) != {"payload", "payloadType", "signatures"}:
         raise EnvelopeError("it is not an envelope with payload, payloadType and signatures")
     if value["payloadType"] != kind:
-        raise EnvelopeError(f"its payload is of another type than {kind}")
+        raise EnvelopeError(f"its payload is of a type other than {kind}")
     signatures = value["signatures"]
     if not isinstance(signatures, list) or len(signatures) != 1:
         raise EnvelopeError("it does not have exactly one signature")

@@ -152,7 +152,7 @@ def _subject_fault(found: Examined, name: StampName, stamped: str) -> tuple[str,
         return "", ""
     if name.events is None:
         if stamped not in {found.seal_digest, *found.state.earlier_seals}:
-            return "run-stamp", f"it stamps another seal than {seals.NAME}"
+            return "run-stamp", f"it stamps a seal other than {seals.NAME}"
     elif name.events > found.scan.count:
         message = f"it stamps {name.events} events, but the journal has {found.scan.count}: the journal was cut"
         return "run-cut-short", message

@@ -61,7 +61,7 @@ def check_signing(bench: Bench, log: Findings, *, key_needed: bool) -> None:
         if key_needed:
             bench_signer(public)
     except ValueError as error:
-        log.error("bench-signing-key", mark, str(error), "copy the line from the file of the public key")
+        log.error("bench-signing-key", mark, str(error), "copy the line from the public key file")
     except BenchKeyError as error:
         message = f"the private key of this bench is not on this computer: {error}; a run would not be signed"
         log.warning("bench-signing-key-missing", mark, message, "`planrunner key new --for-bench`, or ssh-add")

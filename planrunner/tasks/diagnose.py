@@ -23,7 +23,7 @@ from planrunner.archive.run_reader import RunReader
 from planrunner.archive.statistics import statistics_of
 from planrunner.base import plugins
 from planrunner.base.documents import JsonObject
-from planrunner.base.findings import Finding, Findings, InputError, Mark, closest
+from planrunner.base.findings import Finding, Findings, InputError, Mark, closest, count_of
 from planrunner.base.progress import Announce
 from planrunner.bench.clock import VirtualClock
 from planrunner.bench.model import Bench, shipped_benches
@@ -446,8 +446,11 @@ def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> R
         segments.append(without_bad(replace(item, finds=single)))
     if left_out:
         item, one = max(left_out, key=lambda pair: abs(pair[1].size))
-        largest = f"{one.kind.value} of {one.channel or 'all channels'} in '{item.label}' at {one.time:.6g} s"
-        message = f"spikes or repeated samples were left out of the diagnosis: {len(left_out)} in all, the largest a {largest}"
+        kind = "spike" if one.kind is FindKind.SPIKE else "repeated sample"
+        many = len(left_out) > 1
+        count = f"{count_of(len(left_out), 'spike or repeated sample', 'spikes or repeated samples')} {'were' if many else 'was'}"
+        place = f"{one.channel or 'all channels'} in '{item.label}' at {one.time:.6g} s"
+        message = f"{count} left out of the diagnosis; {'the largest' if many else 'it'} is a {kind} of {place}"
         log.warning("gap-left-out", Mark(recorded.where), message, _EXAMINE)
     return replace(recorded, segments=tuple(segments))
 

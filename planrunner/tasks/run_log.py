@@ -415,7 +415,9 @@ def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None
     """
     stated = TreeHead.from_json(proof["head"])
     if head is not None and (head.size, head.root) != (stated.size, stated.root):
-        message = f"the proof is for a tree of size {stated.size} with another root than the given tree head"
+        message = (
+            f"the proof is for a tree of size {stated.size} with a different root from that of the given tree head"
+        )
         raise IntegrityError(f"{path}: {message}", "log-proof")
     hashes = [bytes.fromhex(one) for one in proof["path"]]
     root = bytes.fromhex(stated.root)
@@ -433,7 +435,7 @@ def check_proof(proof: Json, path: Path, head: TreeHead | None, seal: str | None
     except ProofError as error:
         raise IntegrityError(f"{path}: the proof does not hold: {error}", "log-proof") from None
     if seal is not None and seal != entry.seal:
-        raise IntegrityError(f"{path}: the proof is about another seal than that of the run", "log-proof")
+        raise IntegrityError(f"{path}: the proof is about a seal other than that of the run", "log-proof")
     return f"entry {entry.seq} of the log of {stated.size} entries: {entry.run} {entry.event} {entry.at}, seal {entry.seal}"
 
 

@@ -443,7 +443,9 @@ def test_comments_and_an_unfinished_line_are_left_out(tmp_path: Path, capsys: py
     said = begun(file, capsys=capsys)
     assert said["rows"] == len(time)
     assert main(["check", str(tmp_path / "begun.yaml"), "--data", str(tmp_path)]) == 0
-    assert "2 lines with another number of columns than the header, such as '# sync lost'" in capsys.readouterr().err
+    assert (
+        "2 lines with a different number of columns from the header, such as '# sync lost'" in capsys.readouterr().err
+    )
 
 
 def test_vectors_in_a_table_of_numpy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

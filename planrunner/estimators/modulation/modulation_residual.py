@@ -242,7 +242,7 @@ def _periodic(
             "The ratios compare navigation runs of one sensor over the same time. Their uncertainties come from the white noise and "
             "the declared bias instability of the navigation runs; the contribution of each run is an upper bound. Errors that rotation "
             "does not modulate (azimuth gyro, alignment) remain in all navigation runs. Scale factor errors and misalignments act during "
-            "the turns and repeat with the cycle too; the prediction from constant errors does not include them."
+            "the turns and also repeat with the cycle; the prediction from constant errors does not include them."
         )
     )
     return found, tuple(notes)

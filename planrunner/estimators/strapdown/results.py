@@ -200,7 +200,7 @@ def _notes(
     low, high = (values["cep_rate"] * share for share in CEP_INTERVAL)
     notes = [
         said(
-            "One run determines a CEP poorly: if errors are normal with equal variances and zero mean, the CEP rate is "
+            "One run determines a CEP poorly: if the errors are normally distributed with equal variances and zero mean, the CEP rate is "
             "between {low:.3g} and {high:.3g} nmi/h (95 %). For a better value, multiply the root mean square of "
             "radial_error_rate over several runs by 0.8326.",
             low=low,

@@ -289,14 +289,14 @@ def _earth_words(situation: Situation, how: str) -> Said:
         parts = part_turns(situation.segments, situation.seconds, [0.0] * len(situation.segments))
         if parts:
             return said(
-                "The Earth rate is corrected for; its component perpendicular to the table's rotation axis contributes up to "
+                "The results are corrected for the Earth rate; its component perpendicular to the table's rotation axis contributes up to "
                 "{most:.3g} deg/h to the input of a sensor axis. If a recording covers an incomplete turn, its "
                 "starting angle is computed from the planned spin-up "
                 "and settling.",
                 most=most,
             )
         return said(
-            "The Earth rate is corrected for; its component perpendicular to the table's rotation axis contributes up to "
+            "The results are corrected for the Earth rate; its component perpendicular to the table's rotation axis contributes up to "
             "{most:.3g} deg/h to the input of a sensor axis.",
             most=most,
         )

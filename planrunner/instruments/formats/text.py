@@ -96,7 +96,7 @@ class TextFile(FormatFile[TextKeys]):
         if not self._wrong:
             return ()
         lines = count_of(len(self._wrong), "line")
-        return (f"{lines} with another number of columns than the header, such as '{self._wrong[0][:40]}'",)
+        return (f"{lines} with a different number of columns from the header, such as '{self._wrong[0][:40]}'",)
 
     def faults(self) -> tuple[type[Exception], ...]:
         import pyarrow as pa
@@ -148,7 +148,7 @@ class TextFile(FormatFile[TextKeys]):
         `rows`: number of lines that have the right number of columns."""
         wrong = len(self._wrong)
         if wrong > MOST_WRONG * rows:
-            message = f"{wrong} of {rows + wrong} lines have another number of columns than the header, such as '{self._wrong[0][:40]}'"
+            message = f"{wrong} of {rows + wrong} lines have a different number of columns from the header, such as '{self._wrong[0][:40]}'"
             raise InstrumentError(f"{self.name} cannot be read: {message}; check `separator` in the bench file")
 
     def _left_out(self, row: arrow_csv.InvalidRow) -> str:
