@@ -23,6 +23,7 @@ import math
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.archive.recording import BATCHES, Ranges, Statistics, Watcher
 from planrunner.base.arrays import Array
@@ -122,7 +123,8 @@ def statistics_of(
     A row with a non-finite value in any channel is omitted and counted in `rejected`. With one sample, covariance and standard
     error are NaN; without samples, the mean is NaN too. `watcher`: examines the samples while they are read for the statistics.
 
-    Raises ValueError if a time is not a finite number, or if the times do not increase.
+    Raises ValueError if the time of a valid sample is not a finite number, or if there are several valid samples, but none is later
+    than the one before it. Single steps back in time raise no error.
     """
     gathered = _Gathered(len(channels), rows, motion)
     for block in blocks:
@@ -198,6 +200,8 @@ class _Gathered:
         if self.follows:
             opening = slice(*np.searchsorted(self.edges[:-1], [self.row, self.row + len(time)]))
             self.opened[opening] = time[self.edges[opening] - self.row]
+        before = self.row
+        good: NDArray[np.bool_] | None = None
         self.row += len(time)
         low, high = found = _range(columns)
         whole = low.min() > -LARGEST and high.max() < LARGEST  # both comparisons are False for NaN
@@ -211,26 +215,28 @@ class _Gathered:
         if len(time):
             np.minimum(self.minimum, low, out=self.minimum)
             np.maximum(self.maximum, high, out=self.maximum)
-            self._times(time)
+            self._times(time, before, good)
             self._fill(columns, len(time))
         if not whole:
             self.steps = (math.nan, math.nan)
         return found
 
-    def _times(self, time: Array) -> None:
+    def _times(self, time: Array, before: int, good: NDArray[np.bool_] | None) -> None:
+        """Adds the times of the valid samples of a block. `before`: number of rows before the block. `good`: True for each row of
+        the block with a valid sample; None if all are valid."""
         if self.count:
             self.gap = max(self.gap, float(time[0]) - self.end)
         else:
             self.start = float(time[0])
         if not math.isfinite(time[0]):
-            raise _no_time(self.count, time[0])
+            raise _no_time(before, good, 0, time[0])
         self.steps = (math.inf, -math.inf)
         if len(time) > 1:
             steps = time[1:] - time[:-1]
             self.steps = float(steps.min()), float(steps.max())
             if not (self.steps[0] > -math.inf and self.steps[1] < math.inf):  # true for NaN as well
                 worst = int(np.argmin(np.isfinite(time)))
-                raise _no_time(self.count + worst, time[worst])
+                raise _no_time(before, good, worst, time[worst])
             self.gap = max(self.gap, self.steps[1])
         self.end = float(time[-1])
 
@@ -327,9 +333,12 @@ class _Gathered:
         return course_of(self.motion, middle, self.batch_count, interval)
 
 
-def _no_time(sample: int, value: float) -> ValueError:
+def _no_time(before: int, good: NDArray[np.bool_] | None, sample: int, value: float) -> ValueError:
+    """Returns the error for a time that is not a finite number. `sample`: number of valid samples before it in its block. `before`,
+    `good`: see `_Gathered._times`."""
+    row = before + (sample if good is None else int(np.flatnonzero(good)[sample]))
     return ValueError(
-        f"the time of sample {sample + 1} is {value:g}, which is not a finite number; leave the sample out or correct its time"
+        f"the time of sample {row + 1} is {value:g}, which is not a finite number; leave the sample out or correct its time"
     )
 
 

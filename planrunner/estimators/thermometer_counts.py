@@ -83,22 +83,25 @@ def thermometer_counts(
     count = declared or _found(segments, channel) * scale.factor
     if not count:
         return None
-    held: dict[tuple[float, float], list[int]] = {}
-    last, run = math.nan, 0
+    held: dict[tuple[int, float], list[int]] = {}
+    shown: dict[int, float] = {}
+    first, last, run = math.nan, None, 0
     for row in np.argsort([one.statistics.start for one in segments], kind="stable").tolist():
         one = segments[row]
         place = one.statistics.of(channel)
         if NoiseModel(resolution=count).dithers(float(one.statistics.covariance[place, place]) * scale.factor**2):
             continue
-        kelvin = float(one.statistics.mean[place]) * scale.factor + scale.offset
-        celsius = count * round((kelvin - ZERO_CELSIUS) / count)
-        run, last = run + (celsius != last), celsius
+        if math.isnan(first):
+            first = float(one.statistics.minimum[place])
+        counts = round((float(one.statistics.mean[place]) - first) * scale.factor / count)  # from the first reading
+        shown[counts] = round(first * scale.factor + counts * count + scale.offset - ZERO_CELSIUS, 6) + 0.0
+        run, last = run + (counts != last), counts
         planned = one.segment.temperature
-        held.setdefault((celsius, -run if planned is None else planned), []).append(row)
+        held.setdefault((counts, -run if planned is None else planned), []).append(row)
     groups = np.zeros((len(segments), len(held)))
     for column, rows in enumerate(held.values()):
         groups[rows, column] = 1.0
-    parts = tuple(f"{celsius:.6g} degC in '{segments[rows[0]].label}'" for (celsius, _), rows in held.items())
+    parts = tuple(f"{shown[counts]:.6g} degC in '{segments[rows[0]].label}'" for (counts, _), rows in held.items())
     return ThermometerCounts(channel, count, bool(declared), groups, parts)
 
 

@@ -7,7 +7,9 @@ residuals are then small, and repeats agree.
 Each segment is divided into equal parts. A straight line is fitted to the means of the inner parts, and extrapolated to the two
 parts at one end. Over all segments, the deviation d of these two parts from the line is fitted by d = a + b·m, where m is the mean of
 the inner parts. Noise alone gives an F statistic with 2 and n − 2 degrees of freedom, for n segments. The variance of d is the larger
-of two estimates: one from the scatter of d about the fit, the other from the scatter of the inner parts about their lines.
+of two estimates: one from the scatter of d about the fit, the other from the scatter of the inner parts about their lines. If the
+bench file declares a count, the variance of a part is at least the one that rounding to this count causes: coarse counts can hide
+all noise, so that the inner parts do not scatter.
 
 A filter in the sensor gives transients that follow the preceding change of the input and that end after a fixed time. They are
 not the same function of the input in all segments, so this test may miss them. A second test therefore compares the two ends of the
@@ -28,7 +30,7 @@ from planrunner.base.arrays import Array
 from planrunner.base.dataclass import dataclass
 from planrunner.base.said import Said, said
 from planrunner.error_model.observed import axis_of
-from planrunner.instruments.models import OutputModel, SensorModel
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.observation.screening import varies
 from planrunner.plan.schedule import Rest, Spin
 from planrunner.plan.units import METERED, unit
@@ -64,10 +66,11 @@ def transient_words(
         if len(having) < _FEWEST:
             continue
         means = np.array([one.parts[output.name] for one in having])
+        samples = np.array([one.statistics.count for one in having]) / means.shape[1]
         for end, ordered in (("beginning", means), ("end", means[:, ::-1])):
-            off, chance = _transient(ordered)
+            off, chance = _transient(ordered, output.noise, samples)
             if chance >= _CHANCE:
-                words += _of_several(having, output, means, end == "beginning")
+                words += _of_several(having, output, means, samples, end == "beginning")
                 continue
             largest = int(np.argmax(np.abs(off)))
             values: dict[str, str | float] = {
@@ -97,13 +100,15 @@ def transient_words(
     return tuple(words)
 
 
-def _of_several(having: Sequence[RecordedSegment], output: OutputModel, means: Array, beginning: bool) -> list[Said]:
+def _of_several(
+    having: Sequence[RecordedSegment], output: OutputModel, means: Array, samples: Array, beginning: bool
+) -> list[Said]:
     """Returns a warning if several segments have transients at one end that are larger than the deviations at the other end.
-    `means`: array of shape (n, parts)."""
+    `means`: array of shape (n, parts). `samples`: array of shape (n,), number of samples in a part."""
     from scipy.special import fdtrc
 
     n, sides = len(means), (means, means[:, ::-1])
-    own, other = (_deviations(one) for one in (sides if beginning else sides[::-1]))
+    own, other = (_deviations(one, output.noise, samples) for one in (sides if beginning else sides[::-1]))
     away, opposite = own.in_deviations, other.in_deviations
     clear = np.abs(away) > _CLEAR
     square = float(away @ away)
@@ -154,7 +159,8 @@ class _Deviations:
     """Describes the deviations of the first parts of n segments from the line through the inner parts.
 
     `off`: array of shape (n,), the deviations. `sigma`: array of shape (n,), their standard deviations, from the scatter of the
-    inner parts about the lines, with `freedom` degrees of freedom each. `level`: array of shape (n,), means of the inner parts.
+    inner parts about the lines, with `freedom` degrees of freedom each. If the count is declared, they are at least as large as
+    rounding makes them. `level`: array of shape (n,), means of the inner parts.
     """
 
     off: Array
@@ -164,12 +170,14 @@ class _Deviations:
 
     @property
     def in_deviations(self) -> Array:
-        """Returns the deviations, divided by their standard deviations; 0 where the inner parts do not scatter."""
+        """Returns the deviations, divided by their standard deviations; 0 where the inner parts do not scatter and no count is
+        declared."""
         return np.where(self.sigma > 0, self.off / np.where(self.sigma > 0, self.sigma, 1.0), 0.0)
 
 
-def _deviations(means: Array) -> _Deviations:
-    """Returns the deviations of the first parts of n segments. `means`: array of shape (n, parts)."""
+def _deviations(means: Array, noise: NoiseModel, samples: Array) -> _Deviations:
+    """Returns the deviations of the first parts of n segments. `means`: array of shape (n, parts). `noise`: declared noise of the
+    output. `samples`: array of shape (n,), number of samples in a part."""
     inner = np.arange(_END + _LEFT_OUT, means.shape[1])
     line = np.column_stack([np.ones(len(inner)), inner - inner.mean()])
     to_line = np.linalg.pinv(line)
@@ -178,17 +186,20 @@ def _deviations(means: Array) -> _Deviations:
     off = means[:, :_END].mean(axis=1) + means[:, inner] @ weights
     scatter = means[:, inner] - (means[:, inner] @ to_line.T) @ line.T
     freedom = len(inner) - 2
-    variance = np.sum(scatter**2, axis=1) / freedom * (1 / _END + float(weights @ weights))
+    of_part = np.sum(scatter**2, axis=1) / freedom
+    of_part = np.maximum(of_part, noise.rounding(samples, of_part * samples))
+    variance = of_part * (1 / _END + float(weights @ weights))
     return _Deviations(off, np.sqrt(variance), means[:, inner].mean(axis=1), freedom)
 
 
-def _transient(means: Array) -> tuple[Array, float]:
-    """Tests whether n segments have a transient at the beginning in common. `means`: array of shape (n, parts). Returns the
-    deviations of the first parts, shape (n,), and the probability that noise alone gives deviations that agree so well."""
+def _transient(means: Array, noise: NoiseModel, samples: Array) -> tuple[Array, float]:
+    """Tests whether n segments have a transient at the beginning in common. `means`: array of shape (n, parts). `noise`: declared
+    noise of the output. `samples`: array of shape (n,), number of samples in a part. Returns the deviations of the first parts,
+    shape (n,), and the probability that noise alone gives deviations that agree so well."""
     from scipy.special import fdtrc
 
     n = len(means)
-    found = _deviations(means)
+    found = _deviations(means, noise, samples)
     off, level, by_noise = found.off, found.level, float(np.mean(found.sigma**2))
     size = float(np.abs(level - level.mean()).max())
     design = np.column_stack([np.ones(n), (level - level.mean()) / size if size > 0 else np.zeros(n)])

@@ -76,7 +76,7 @@ _OTHER_RATE = 0.2  # relative difference from the usual rate
 _OTHER_RATES = 0.05  # share of the windows from which another rate is reported
 _RATES_DIFFER = 10.0  # times the noise of a sample: step of the mean of a gyro that shows two rates
 _ABOVE_DRIFT = 3.0  # times the range of the mean within intervals
-_LEAST_DWELL = 3 * WINDOW  # s that must remain of an interval without its ends
+_LEAST_DWELL = 3  # windows that must remain of an interval without its ends
 _ALIKE_SPREAD, _MOST_SPREAD = 0.01, 3.0
 """Median deviation of the length of three columns from gravity. Up to the first value, or up to the second value times the smallest
 deviation of all columns, the columns may be accelerometers."""
@@ -198,8 +198,9 @@ class Look:
         left out at each end of an interval, because the table may still settle there."""
         if self.bursts or not any(self._turns_at_rates(one) for one in self.channels if one.sensed == "gyro"):
             return ()
-        inner = (Span(span.start + WINDOW, span.end - WINDOW) for span in self.still)
-        return tuple(span for span in inner if span.seconds >= _LEAST_DWELL)
+        window = max(WINDOW, self.windows.length)
+        inner = (Span(span.start + window, span.end - window) for span in self.still)
+        return tuple(span for span in inner if span.seconds >= _LEAST_DWELL * window)
 
     def _turns_at_rates(self, gyro: LikelyChannel) -> bool:
         """Returns True if the mean of a gyro changes between the intervals without acceleration, but not within them. (A drift

@@ -165,3 +165,18 @@ def test_times_that_are_no_times_are_named(motion: Motion, time: np.ndarray, wor
     blocks = [Block(time[low : low + 97], {"x": values[low : low + 97]}) for low in range(0, 400, 97)]
     with pytest.raises(ValueError, match=words):
         statistics_of(blocks, ("x",), 400, motion=motion)
+
+
+@pytest.mark.parametrize("wrong", [8, 5, 13])
+def test_rejected_rows_count_in_the_number_of_a_sample_without_a_time(wrong: int) -> None:
+    """Five rows without a value come before the row without a time, at any place in a block."""
+    time, values = np.arange(20.0), np.ones(20)
+    time[wrong], values[:5] = np.nan, np.nan
+    blocks = [Block(time[low : low + 8], {"x": values[low : low + 8]}) for low in range(0, 20, 8)]
+    with pytest.raises(ValueError, match=f"the time of sample {wrong + 1} is nan"):
+        statistics_of(blocks, ("x",), 20)
+
+
+@pytest.mark.parametrize("time", [(1.0, 2.0, 0.5), (5.0, 6.0, 1.0, 2.0)])
+def test_a_single_step_back_in_time_raises_no_error(time: tuple[float, ...]) -> None:
+    assert statistics_of([Block(np.array(time), {"x": np.ones(len(time))})], ("x",), len(time)).count == len(time)

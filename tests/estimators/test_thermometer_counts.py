@@ -15,6 +15,7 @@ from planrunner.estimators.analysis import analyse
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.temperature.parameters import TemperatureModelParameters
+from planrunner.estimators.thermometer_counts import thermometer_counts
 from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
 from planrunner.plan.kinds import Record
 from planrunner.plan.model import EstimateSpec
@@ -115,3 +116,17 @@ def test_the_error_model_includes_the_counts(basis: str) -> None:
         assert abs(found[name].value - true) < 2.5 * found[name].standard_uncertainty
     assert found["gyro_bias_z"].standard_uncertainty < 0.6 * SLOPE
     assert len(named(found)) == 1
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.05], ids=["counts from 0 K", "counts from 0 degC"])
+def test_the_readings_of_a_thermometer_in_kelvin_are_not_mixed_up(offset: float) -> None:
+    """Readings of 0.1 K from 293.1 K to 293.6 K lie in the middle between multiples of 0.1 degC, or the reverse."""
+    kelvin = [293.1 + offset + 0.1 * k for k in range(6)]
+    made = [
+        from_samples(segment(f"S{k}"), 400.0 * k + np.arange(300), {"temp": np.full(300, one)}, {"temp": "K"})
+        for k, one in enumerate(kelvin)
+    ]
+    model = SensorModel("gyro", (OutputModel("temp", "K", noise=NoiseModel(resolution=0.1)),), 1.0)
+    found = thermometer_counts(made, "temp", model)
+    assert found is not None and found.groups.tolist() == np.eye(6).tolist()
+    assert found.parts == tuple(f"{one - 273.15:.6g} degC in 'S{k}'" for k, one in enumerate(kelvin))

@@ -14,6 +14,7 @@ from planrunner.estimators.analysis import analyse
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.scale_factor import ScaleFactorParameters
 from planrunner.estimators.transients import transient_words
+from planrunner.instruments.models import NoiseModel
 from planrunner.observation.screening import screened
 from planrunner.physics.earth import Site
 from planrunner.plan.model import EstimateSpec
@@ -140,3 +141,35 @@ def test_a_filter_without_transients_is_not_named() -> None:
     for seed in range(2, 8):
         assert not several(filtered(0.0, 2.0, seed))
         assert not several(filtered(3.0, 3.0, seed))
+
+
+def in_counts(change: Callable[[int, Array], Array], noise: float, seed: int = 1) -> list[str]:
+    """The warnings about an output of 0.01 deg/s a count. `change`: counts, of the number of the segment and the time, s. noise:
+    counts."""
+    draw, recording = np.random.default_rng(seed), []
+    model = sensor("gyro_z", unit="deg/s", noise=NoiseModel(resolution=0.01))
+    for number in range(8):
+        time = np.arange(3000) / 100
+        values = 0.01 * np.round(100 * number + 0.2 + change(number, time) + noise * draw.standard_normal(3000))
+        planned = segment(f"R{number}", np.eye(3))
+        recording.append(from_samples(planned, 40.0 * number + time, {"gyro_z": values}, {"gyro_z": "deg/s"}))
+    return [str(one) for one in transient_words(screened(recording, model), (), model)]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+@pytest.mark.parametrize(
+    "sizes", [(6.0,), (6.0, -5.0, 7.0, -6.0, -5.0, 6.0, 5.0, -7.0)], ids=["equal", "of both signs"]
+)
+def test_a_transient_of_several_counts_is_named_although_the_counts_hide_the_noise(
+    noise: float, sizes: tuple[float, ...]
+) -> None:
+    (text,) = in_counts(lambda number, t: sizes[number % len(sizes)] * (t < 3), noise)
+    assert "the beginnings of" in text
+
+
+def test_steps_of_one_count_are_no_transient() -> None:
+    """A drift of less than a count per segment changes a reading once in a segment, at any time."""
+    for seed in range(10):
+        begins = np.random.default_rng(100 + seed).uniform(-0.5, 0.5, 8)
+        for noise in (0.0, 0.05, 0.3):
+            assert in_counts(lambda number, t, b=begins: b[number] + 0.02 * t, noise, seed) == []  # type: ignore[misc]

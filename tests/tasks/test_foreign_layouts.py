@@ -928,6 +928,20 @@ def test_the_earth_rate_in_several_poses_is_no_rate_table(tmp_path: Path) -> Non
     assert len(look.still) == 12 and look.dwells == ()
 
 
+def test_one_window_is_left_out_at_each_end_of_slow_dwells(tmp_path: Path) -> None:
+    """At 2 Hz, a window of 5 rows lasts 2.5 s."""
+    draw = np.random.default_rng(2)
+    rate = np.repeat([0.0, 10.0, 0.0, 30.0, 0.0], 60)
+    gyro = np.column_stack([0 * rate, 0 * rate, rate]) + draw.normal(0, 0.05, (len(rate), 3))
+    accel = draw.normal([0.01, -0.005, 1.0], 0.001, (len(rate), 3))
+    file = text(tmp_path / "r.csv", f"time_s,{IN_DPS_G}", rows(np.arange(len(rate)) / 2, gyro, accel))
+    look = look_at(file)
+    assert look.windows.length == pytest.approx(2.5)
+    assert len(look.dwells) >= 3
+    for still, dwell in zip(look.still, look.dwells, strict=True):
+        assert (dwell.start - still.start, still.end - dwell.end) == pytest.approx((2.5, 2.5))
+
+
 @pytest.mark.parametrize("header", ["time_s,note,note", "time_s,gyro_t,gyro_t"])
 def test_columns_of_the_same_name_are_left_out(tmp_path: Path, header: str) -> None:
     lines = [f"{t:.2f},a,b,{row}" for t, row in zip(TIME.tolist(), rows(GYRO * DEG, ACCEL / G), strict=True)]
