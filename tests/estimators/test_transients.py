@@ -143,27 +143,28 @@ def test_a_filter_without_transients_is_not_named() -> None:
         assert not several(filtered(3.0, 3.0, seed))
 
 
-def in_counts(change: Callable[[int, Array], Array], noise: float, seed: int = 1) -> list[str]:
-    """The warnings about an output of 0.01 deg/s a count. `change`: counts, of the number of the segment and the time, s. noise:
-    counts."""
+def in_counts(change: Callable[[int, Array], Array], noise: float, seed: int = 1, step: float = 100.0) -> list[str]:
+    """The warnings about an output in whole deg/s. `change`: counts, of the number of the segment and the time, s. noise:
+    counts. step: of the level from segment to segment, counts."""
     draw, recording = np.random.default_rng(seed), []
-    model = sensor("gyro_z", unit="deg/s", noise=NoiseModel(resolution=0.01))
+    model = sensor("gyro_z", unit="deg/s", noise=NoiseModel(resolution=1.0))
     for number in range(8):
         time = np.arange(3000) / 100
-        values = 0.01 * np.round(100 * number + 0.2 + change(number, time) + noise * draw.standard_normal(3000))
+        values = np.round(step * number + 0.2 + change(number, time) + noise * draw.standard_normal(3000))
         planned = segment(f"R{number}", np.eye(3))
         recording.append(from_samples(planned, 40.0 * number + time, {"gyro_z": values}, {"gyro_z": "deg/s"}))
     return [str(one) for one in transient_words(screened(recording, model), (), model)]
 
 
+@pytest.mark.parametrize("step", [0.0, 100.0])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 @pytest.mark.parametrize(
     "sizes", [(6.0,), (6.0, -5.0, 7.0, -6.0, -5.0, 6.0, 5.0, -7.0)], ids=["equal", "of both signs"]
 )
 def test_a_transient_of_several_counts_is_named_although_the_counts_hide_the_noise(
-    noise: float, sizes: tuple[float, ...]
+    noise: float, sizes: tuple[float, ...], step: float
 ) -> None:
-    (text,) = in_counts(lambda number, t: sizes[number % len(sizes)] * (t < 3), noise)
+    (text,) = in_counts(lambda number, t: sizes[number % len(sizes)] * (t < 3), noise, step=step)
     assert "the beginnings of" in text
 
 
