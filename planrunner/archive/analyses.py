@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from planrunner.archive import formats
-from planrunner.archive.formats import IntegrityError
+from planrunner.archive.formats import FormatError, IntegrityError
 from planrunner.archive.journal import FIRST, utc_now
 from planrunner.archive.storage import ASIDE, Storage, digest, digest_of
 from planrunner.base.documents import Json, JsonObject
@@ -126,6 +126,17 @@ def _unreadable(path: Path, error: OSError) -> IntegrityError:
     return IntegrityError(f"{path}: {how}{error.strerror}; take the run folder from a backup", code)
 
 
+def _other_format(run: GuardedFolder, path: Path, error: FormatError) -> IntegrityError:
+    """Returns the error for an analysis whose list of digests has a format that is not read. The samples do not depend on it."""
+    age = "an older" if error.version < error.known else "a newer"
+    return IntegrityError(
+        f"{path}: this analysis is in {age} format ({error.version}; this version of planrunner reads format {error.known}), so it "
+        f"cannot be verified; move the folder {path.parent} out of the run folder, and analyse the samples again with `planrunner "
+        f"estimate {run.path}`",
+        "run-analysis-format",
+    )
+
+
 def numbers(run: GuardedFolder) -> tuple[int, ...]:
     """Returns the numbers of a run's analyses, in order. Raises `OSError` if the folder of the analyses cannot be read."""
     if run.entry(FOLDER) is None:
@@ -142,13 +153,16 @@ def _is_number(name: str) -> bool:
 
 def stored_analysis(run: GuardedFolder, number: int) -> StoredAnalysis:
     """Reads an analysis with its list of digests. The list is checked against its schema and its own digest; the files are not
-    checked. Raises `IntegrityError` if the list is missing, was changed, or does not match its schema."""
+    checked. Raises `IntegrityError` if the list is missing, was changed, does not match its schema, or has another format."""
     path = run.path / FOLDER / str(number) / DIGESTS
     try:
         data = run.folder(FOLDER).folder(str(number)).read(DIGESTS, MOST_DIGESTS)
     except OSError as error:
         raise _unreadable(path, error) from None
-    digests = formats.parse_json(data, path, "digests", "planrunner_digests", formats.DIGESTS_FORMAT)
+    try:
+        digests = formats.parse_json(data, path, "digests", "planrunner_digests", formats.DIGESTS_FORMAT)
+    except FormatError as error:
+        raise _other_format(run, path, error) from None
     formats.require_own_digest(data, digests, path)
     return StoredAnalysis(run, number, digests, digest(data))
 

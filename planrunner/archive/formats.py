@@ -23,6 +23,18 @@ class IntegrityError(Exception):
         self.code = code
 
 
+class FormatError(IntegrityError):
+    """Reports that a file of a run folder has a format that this version of planrunner does not read. `version`: format of the file.
+    `known`: the format that is read."""
+
+    def __init__(self, path: Path, version: int, known: int):
+        super().__init__(
+            f"{path}: its format is {version}, but this version of planrunner reads only format {known}: use the version of "
+            f"planrunner that wrote it"
+        )
+        self.version, self.known = version, known
+
+
 RUN_FORMAT = 1
 SEAL_FORMAT = 2
 DIGESTS_FORMAT = 3
@@ -107,10 +119,7 @@ def parse_json(data: bytes, path: Path, name: str, version_key: str, known: int)
         raise IntegrityError(f"{path}: not JSON: {str(error)[:200]}; {FROM_BACKUP}") from None
     version = value.get(version_key) if isinstance(value, dict) else None
     if type(version) is int and version != known:
-        raise IntegrityError(
-            f"{path}: its format is {version}, but this version of planrunner reads only format {known}: use the version of "
-            f"planrunner that wrote it"
-        )
+        raise FormatError(path, version, known)
     fault = _check_of(name)(value)
     if fault is not None:
         place, _, what = fault.partition(": ")

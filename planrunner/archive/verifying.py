@@ -80,6 +80,7 @@ CHANGES: Mapping[str, Change] = MappingProxyType(
     {
         "run-changed": "altered",
         "run-analysis-chain": "altered",
+        "run-analysis-format": "altered",
         "run-file-missing": "removed",
         "run-seal-missing": "removed",
         "run-seal-removed": "removed",

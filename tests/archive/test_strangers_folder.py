@@ -565,9 +565,26 @@ def test_digests_without_a_chain_are_refused(sealed: Path, number: int) -> None:
     kept = {name: digests[name] for name in ("made", "files")}
     for form in (1, 2, 3):
         file.write_text(json.dumps({"planrunner_digests": form, **kept}))
-        assert "run-changed" in codes(sealed)
+        assert ("run-changed" if form == formats.DIGESTS_FORMAT else "run-analysis-format") in codes(sealed)
         with pytest.raises(IntegrityError, match=r"digests\.json"):
             RunReader.open(sealed)
+
+
+def test_an_analysis_in_an_older_format_is_moved_away_and_made_again(sealed: Path, tmp_path: Path) -> None:
+    """All analyses of a run have the same older format, because a new one would refer to the one before it."""
+    for folder in (sealed / "analyses").iterdir():
+        (folder / "digests.json").write_text(json.dumps({"planrunner_digests": 2, "made": "", "files": {}}))
+    assert set(codes(sealed)) == {"run-analysis-format"}
+    for folder in sorted((sealed / "analyses").iterdir()):
+        with pytest.raises(IntegrityError, match="in an older format") as raised:
+            RunReader.open(sealed)
+        said = str(raised.value)
+        assert f"move the folder {folder} out" in said and f"`planrunner estimate {sealed}`" in said
+        assert "version of planrunner that wrote" not in said
+        folder.rename(tmp_path / f"old {folder.name}")
+    assert verify(sealed) == [] and RunReader.open(sealed).analyses == ()
+    assert add_analysis(sealed, {"results.json": b"{}"}).number == 1
+    assert verify(sealed) == []
 
 
 def test_analyses_outlive_a_segment_that_is_taken_again(sealed: Path) -> None:
