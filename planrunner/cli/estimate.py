@@ -86,14 +86,24 @@ def _show_proof(proof: Proof, *, as_json: bool) -> Done:
     from planrunner.tasks.prove import TOLERANCE
 
     if not as_json:
-        print(f"analysis {proof.analysis}: {_PROVED[proof.verdict].format(tolerance=TOLERANCE)}")
-        if proof.verdict != "identical" and proof.largest_of:
+        only_texts = proof.only_texts and proof.verdict == "different"
+        text = _ONLY_TEXTS if only_texts else _PROVED[proof.verdict].format(tolerance=TOLERANCE)
+        print(f"analysis {proof.analysis}: {text}")
+        if proof.verdict != "identical" and proof.largest == 0:
+            more = f" and {len(proof.places) - _MOST_PLACES} more" if len(proof.places) > _MOST_PLACES else ""
+            print(f"    no coefficient changes; these differ: {', '.join(proof.places[:_MOST_PLACES])}{more}")
+        elif proof.verdict != "identical" and proof.largest_of:
             print(f"    largest change: {proof.largest:.2g} of the standard uncertainty of {proof.largest_of}")
         for name, (then, now) in proof.changed.items():
             print(f"    {name}: {then or 'not recorded'} then, {now or 'not installed'} now")
     return Done(exit_codes.INTEGRITY if proof.verdict == "different" else exit_codes.DONE, proof.to_json())
 
 
+_MOST_PLACES = 5
+_ONLY_TEXTS = (
+    "NOT REPRODUCED: every number is identical to the stored number, but texts differ, as they do if another state of the "
+    "software wrote them"
+)
 _PROVED = {
     "identical": "recomputed from the samples; every number is identical to the stored number, bit for bit",
     "within tolerance": "recomputed from the samples with other versions; no number changes by more than {tolerance:g} of its standard "

@@ -7,7 +7,7 @@ JSON has no infinity and no NaN. These numbers are always written as the texts "
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import field, fields
 
 import numpy as np
@@ -128,9 +128,29 @@ def comparable(data: Json) -> Json:
         return [comparable(item) for item in data]
     if not isinstance(data, dict):
         return data
-    if "text" in data and data.keys() <= {"text", "template", "plural", "values"}:
+    if _is_said(data):
         return data["text"]
     return {name: comparable(item) for name, item in data.items() if name != "computed_with"}
+
+
+def _is_said(data: Json) -> bool:
+    return isinstance(data, dict) and "text" in data and data.keys() <= {"text", "template", "plural", "values"}
+
+
+def differences(stored: Json, now: Json, place: str = "") -> Iterator[tuple[str, bool]]:
+    """Yields each place at which two results differ, such as `estimates.bias.notes.1`, and True if only a text differs there.
+    `place`: the place that contains both. The versions that computed the results are left out."""
+    if isinstance(stored, dict) and isinstance(now, dict) and not (_is_said(stored) or _is_said(now)):
+        for name in {**stored, **now}:
+            if name != "computed_with":
+                yield from differences(stored.get(name), now.get(name), f"{place}.{name}".lstrip("."))
+    elif isinstance(stored, list) and isinstance(now, list) and len(stored) == len(now):
+        for number, (one, other) in enumerate(zip(stored, now, strict=True), start=1):
+            name = one.get("name", number) if isinstance(one, dict) else number
+            yield from differences(one, other, f"{place}.{name}")
+    elif repr(comparable(stored)) != repr(comparable(now)):
+        both = [one for side in (stored, now) for one in (side if isinstance(side, list) else [side])]
+        yield place, all(map(_is_said, both))
 
 
 def _find_to(one: Find) -> JsonObject:

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Literal
 
 from planrunner.archive.analyses import chosen_analysis
-from planrunner.archive.formats import to_bytes
+from planrunner.archive.formats import from_bytes, to_bytes
 from planrunner.archive.provenance import computed_with
 from planrunner.archive.run_reader import RunReader
 from planrunner.base.documents import Json, JsonObject
 from planrunner.base.workers import ALONE, Workers
-from planrunner.estimators.results import Results, comparable
+from planrunner.estimators.results import Results, comparable, differences
 from planrunner.tasks.estimate import computed_by, recompute, stored_results
 
 Reproduced = Literal["identical", "within tolerance", "different"]
@@ -32,7 +32,8 @@ class Proof:
     results were computed by other versions. `largest`: the largest change of a value or of a standard uncertainty, with the name
     of the coefficient. The change is in units of the stored standard uncertainty; it is ∞ if the coefficient is missing from the
     recomputed results. `changed`: the versions that differ, each as a pair (stored, now). `stored` is None if the analysis does
-    not state the version.
+    not state the version. `places`: the places in the results that differ. `only_texts`: True if only texts differ there, such as
+    notes and warnings, and every number is identical.
     """
 
     analysis: int
@@ -40,6 +41,8 @@ class Proof:
     largest: float
     largest_of: str
     changed: Mapping[str, tuple[str | None, str | None]]
+    places: tuple[str, ...] = ()
+    only_texts: bool = False
 
     def to_json(self) -> JsonObject:
         return {
@@ -48,6 +51,8 @@ class Proof:
             "largest_change": self.largest if math.isfinite(self.largest) else None,
             "largest_change_of": self.largest_of,
             "tolerance": TOLERANCE,
+            "places_changed": list(self.places),
+            "only_texts_changed": self.only_texts,
             "versions_changed": {name: list(pair) for name, pair in self.changed.items()},
         }
 
@@ -64,12 +69,17 @@ def prove(run: Path, number: int | None = None, workers: Workers = ALONE) -> Pro
     results = recompute(reader, analysis, workers=workers)
     now = computed_with()
     changed = {name: (then.get(name), now.get(name)) for name in {**then, **now} if then.get(name) != now.get(name)}
-    if to_bytes(comparable(text)) == to_bytes(comparable(results.to_json())):
+    again = results.to_json()
+    if to_bytes(comparable(text)) == to_bytes(comparable(again)):
         return Proof(analysis.number, "identical", 0.0, "", changed)
     largest, name = max(_changes(stored, results), default=(math.inf, ""))
     same_rest = _outline(stored) == _outline(results)
     tolerated = bool(changed) and same_rest and largest <= TOLERANCE
-    return Proof(analysis.number, "within tolerance" if tolerated else "different", largest, name, changed)
+    verdict: Reproduced = "within tolerance" if tolerated else "different"
+    differing = tuple(differences(text, from_bytes(to_bytes(again))))
+    only_texts = bool(differing) and all(of_text for _, of_text in differing)
+    places = tuple(place for place, _ in differing)
+    return Proof(analysis.number, verdict, largest, name, changed, places, only_texts)
 
 
 def _changes(stored: Results, now: Results) -> Iterator[tuple[float, str]]:

@@ -84,6 +84,27 @@ def test_a_forged_result_with_right_digests_is_not_reproduced(run: Path, capsys:
     assert entry["largest_change"] == pytest.approx(1e-9, rel=0.01)
 
 
+def test_texts_that_differ_are_named(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def change(results: dict[str, Any]) -> None:
+        results["estimates"][0]["notes"].append({"text": "added", "template": "added", "values": {}})
+        results["estimates"][0]["coefficients"][0]["description"]["text"] += "!"
+
+    rewrite(run, change)
+    assert main(["estimate", "--prove", str(run)]) == 4
+    said = capsys.readouterr().out
+    name = json.loads((run / "analyses/1/results.json").read_bytes())["estimates"][0]["name"]
+    assert "NOT REPRODUCED: every number is identical to the stored number, but texts differ" in said
+    assert f"estimates.{name}.notes" in said and f"estimates.{name}.coefficients." in said
+    assert "largest change" not in said
+
+
+def test_numbers_that_belong_to_no_coefficient_are_named(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rewrite(run, lambda results: results["segments"][0].update(count=7))
+    assert main(["estimate", "--prove", str(run)]) == 4
+    said = capsys.readouterr().out
+    assert "texts differ" not in said and "no coefficient changes; these differ: segments.1" in said
+
+
 def test_other_versions_may_change_the_last_digits_only(run: Path) -> None:
     rewrite(run, other_numpy)
     assert prove(run).verdict == "identical"
