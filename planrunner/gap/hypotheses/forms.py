@@ -734,10 +734,10 @@ def _slopes(effect: Shaped, shape: float, seen: Observed, step: Array) -> dict[i
 def passed_on(
     weighing: Weighing, effect: Shaped, shape: float, seen: Observed, columns: Sequence[Column]
 ) -> list[Array]:
-    """Computes how other effects appear after an effect on the output. For example, they do not appear while the output is at a
-    limit. Returns, for each channel, the coefficients (M, P) of `columns`, multiplied by the derivative of the output with respect
-    to its nominal value. `seen`: the recording with the nominal output, which contains the other effects. `shape`: shape of the
-    effect on the output."""
+    """Computes how an effect on the output changes the other effects in this output. For example, the other effects do not appear
+    while the output is at a limit. Returns, for each channel, the coefficients (M, P) of `columns`, multiplied by the derivative of
+    the output with respect to its nominal value. `seen`: the recording with the nominal output, which contains the other effects.
+    `shape`: shape of the effect on the output."""
     slopes = _slopes(effect, shape, seen, _steps(weighing))
     passed = [
         replace(
