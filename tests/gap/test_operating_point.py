@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from planrunner.error_model.effects.gyro_output import (
 from planrunner.error_model.effects.interface import Variant
 from planrunner.error_model.effects.warming import GyroWarmUp
 from planrunner.error_model.observed import Observed
+from planrunner.gap.answer import diagnosis
 from planrunner.gap.answer.closure import closure, measured_noise, predictions, whole_choices
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.evidence.spectrum import NODES
@@ -156,6 +158,15 @@ def test_limits_that_differ_between_the_directions_are_named_with_their_values(u
     expected = {name: value for name, value in (("upper", upper), ("lower", lower)) if np.isfinite(value)}
     assert {one.name for one in found.parameters} == set(expected)
     assert all(abs(one.value - expected[one.name]) < 3 * one.standard_uncertainty for one in found.parameters)
+
+
+def test_a_limit_that_the_data_do_not_show_has_no_value(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The upper limit is found, the lower one is not: the result contains the upper limit alone, no limit of 0 deg/s."""
+    monkeypatch.setattr(diagnosis, "whole_forms", lambda *_, **__: [])
+    effect = next(way for way in GyroSaturationAsymmetric().ways_shown(_limited(5, 85 * DEG, lower=30 * DEG)[0]))
+    forms = [(SimpleNamespace(variant=SimpleNamespace(shape=value)), 0.5) for value in (29.0, 31.0)]
+    (one,) = diagnosis._exact_shapes(None, effect, forms)  # type: ignore[arg-type]
+    assert (one.value, one.standard_uncertainty) == (30.0, 1.0)
 
 
 def test_a_limit_of_one_direction_is_a_hypothesis_only_if_readings_stand_at_it() -> None:

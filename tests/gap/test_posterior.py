@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from math import comb
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from planrunner.base import plugins
 from planrunner.error_model.observed import Observed
+from planrunner.gap.answer import posterior
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
@@ -105,3 +107,15 @@ def test_averaging_over_a_shape_never_gains() -> None:
     shaped = [c for c in candidates if len(c.variants) > 1 and np.isfinite(c.log_bayes).any()]
     assert len(shaped) > 3
     assert all(c.shape_cost <= 0 for c in shaped)
+
+
+def test_events_beside_a_pair_that_was_evaluated_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The pair has the largest evidence, but was not evaluated in full. Events are then evaluated in addition to its first effect."""
+    monkeypatch.setattr(posterior, "ShortOffsets", lambda _: None)
+    monkeypatch.setattr(posterior, "events_beside", lambda weighing, setting, _: np.full(4, weighing))
+    weighing = SimpleNamespace(likeliest=(0, 0), beside=lambda known: known, likeliest_with=lambda *_: 0)
+    kinds = SimpleNamespace(events=np.zeros((1, 4)))
+    candidates = [SimpleNamespace(id=name, log_bayes=np.zeros(1), best=at) for name, at in (("a", 3.0), ("b", 5.0))]
+    found = {"none": 0.0, "a": 100.0, "b": 20.0, "a+b": 101.0}
+    events = posterior._Events(weighing, kinds, candidates, {}, found, "")  # type: ignore[arg-type]
+    assert [events.beside(name).tolist() for name in ("a", "b", "a+b")] == [[3.0] * 4] * 3

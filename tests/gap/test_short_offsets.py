@@ -7,6 +7,7 @@ import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
 from math import factorial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.noise_events import RATES, Events, averaged_over_rates
-from planrunner.gap.hypotheses.open_set import competitors, look_alike
+from planrunner.gap.hypotheses.open_set import ODD_SEGMENT, _with_events, competitors, look_alike
 from planrunner.gap.hypotheses.outside import BURSTS, ENERGIES, _now_and_then, scopes_of
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
 from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets, _windows
@@ -101,6 +102,14 @@ def test_events_have_a_common_unknown_rate() -> None:
     np.testing.assert_allclose(events.log_bayes([0, 2]), np.log1p(RATES * np.exp(25)) - RATES * 500)
     assert averaged_over_rates(events.log_bayes()) == pytest.approx(np.log(each.sum(1).mean()))
     assert averaged_over_rates(np.full((2, 4), -1.0)).tolist() == [0.0, 0.0]
+
+
+def test_a_pattern_of_all_channels_leaves_no_event_in_the_coefficients() -> None:
+    """Events outside the coefficients, in 3600 s. That the coefficients contain none has its own probability at each rate."""
+    patterns, events = SimpleNamespace(scopes=[[0], [1]]), Events(np.array([30.0]), (frozenset({0}),), 3600.0)
+    outside = np.array([150.0, 190.0, 200.0, 200.0])
+    value = _with_events(patterns, {ODD_SEGMENT: np.array([5.0])}, -np.inf, events, outside, 0.0)  # type: ignore[arg-type]
+    assert value == pytest.approx(5 + np.log(np.exp(outside - 3600 * RATES).sum() / 4) - np.log(2))
 
 
 def test_an_event_outside_the_coefficients_has_a_limited_size() -> None:

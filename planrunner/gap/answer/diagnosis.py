@@ -20,6 +20,7 @@ from planrunner.base import plugins
 from planrunner.base.arrays import Array
 from planrunner.base.documents import Json, JsonObject
 from planrunner.error_model.effects.interface import (
+    Column,
     Effect,
     HasShape,
     NoHypothesis,
@@ -57,7 +58,7 @@ from planrunner.gap.answer.gap_description import (
 from planrunner.gap.answer.parameters import ParameterEstimate
 from planrunner.gap.answer.posterior import PRIORS, UNKNOWN, Posterior, posterior
 from planrunner.gap.answer.remainder import Remainder, dispersions, remainder
-from planrunner.gap.answer.sets import EffectSet, Member, evaluated, key_of, together
+from planrunner.gap.answer.sets import EffectSet, Member, columns_beside, evaluated, key_of, together
 from planrunner.gap.answer.verdict import Verdict, ambiguity_set, verdict
 from planrunner.gap.hypotheses.candidates import FULL, Candidate, Forms, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import candidates_of, shape_alone, whole_forms
@@ -415,7 +416,8 @@ def _parameters(
             own = together.columns(name)
             acting = together.on_others
             if acting is not None and together.members[acting[0]] is member and shaped is not None:
-                exactly = _exact_shapes(weighing, shaped, acting[1].forms)
+                every = [column for each in columns_beside(weighing, together, acting[0]) for column in each]
+                exactly = _exact_shapes(weighing, shaped, acting[1].forms, every)
                 listed += estimates.wider(exactly, member.form, ratios)
                 continue
             weights, columns = weighing, together.weighed
@@ -426,11 +428,15 @@ def _parameters(
     return listed
 
 
-def _exact_shapes(weighing: Weighing, effect: Shaped, forms: Forms) -> list[ParameterEstimate]:
-    """Estimates the shape of an effect that has no amplitude, and its other parameter if the effect has one (`PairedShapes`)."""
+def _exact_shapes(
+    weighing: Weighing, effect: Shaped, forms: Forms, beside: Sequence[Column] = ()
+) -> list[ParameterEstimate]:
+    """Estimates the shape of an effect that has no amplitude. If the effect has another parameter (`PairedShapes`), it is estimated
+    too, unless the data do not show it. `beside`: columns, with samples, of the other effects that act."""
     found = estimates.exact_shape(effect, forms)
     other = effect.opposite(found[0].value) if isinstance(effect, PairedShapes) else None
-    return found if other is None else [*found, *estimates.exact_shape(other, whole_forms(weighing, other))]
+    opposite = whole_forms(weighing, other, columns=beside) if other is not None else []
+    return [*found, *estimates.exact_shape(other, opposite)] if other is not None and opposite else found
 
 
 def _finite(value: Json) -> Json:

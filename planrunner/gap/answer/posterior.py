@@ -199,7 +199,7 @@ def posterior(
             one_of = float(np.log(forms_of_unknown(kinds) * count))
             found[UNKNOWN] = float(np.logaddexp(found[UNKNOWN], imitated - one_of))
             imitated += log_prior(UNKNOWN, count) + _whatever_noise(noise, 1, count) - one_of
-            imitated += _in_noise(kinds, np.zeros(len(RATES)))
+            imitated += _in_noise(kinds, kinds.no_events)
             logs[UNKNOWN] = float(np.logaddexp(logs[UNKNOWN], imitated))
     within = events.beside(best)
     beside = float(
@@ -408,8 +408,9 @@ def _shares(logs: Mapping[_Key, float]) -> dict[_Key, float]:
 
 class _Events:
     """Evaluates the events of the noise in addition to the hypotheses. In addition to "none" and to "something else", they have been
-    evaluated with the patterns (`Kinds`). In addition to effects, they are evaluated for the best set, and for each single effect that
-    is visible and not much less probable. An effect that is not visible does not change the events."""
+    evaluated with the patterns (`Kinds`). In addition to effects, they are evaluated for the best of the single effects and of the sets
+    that were evaluated in full, and for each single effect that is visible and not much less probable. An effect that is not visible
+    does not change the events."""
 
     def __init__(
         self,
@@ -424,8 +425,7 @@ class _Events:
         self._by_id = {c.id: c for c in candidates if np.isfinite(c.log_bayes).any()}
         self._sets, self._short_offsets = sets, ShortOffsets(weighing)
         self._known: dict[str, Array] = {}
-        keys = {self._key(name) for name in found if name not in PRIORS and UNKNOWN not in name.split("+")}
-        self._best = max(keys - {""}, key=lambda key: self._found.get(key, -np.inf), default="")
+        self._best = max([*self._by_id, *sets], key=lambda key: self._found.get(key, -np.inf), default="")
 
     def _key(self, name: str) -> str:
         """Returns the effects of a hypothesis that have signatures, as the key of a set."""
@@ -477,11 +477,9 @@ class _Events:
             if key in self._by_id:
                 known = self._by_id[key].best
                 setting = self._weighing.likeliest_with(self._by_id[key].log_bayes, False)
-            elif key in self._sets:
+            else:
                 known = self._sets[key].weighed
                 setting = self._weighing.likeliest_with(self._sets[key].log_bayes, False)
-            else:  # a pair that was evaluated quickly
-                return min(map(self._beside_effects, key.split("+")), key=lambda own: float(own.sum()))
             self._known[key] = events_beside(self._weighing.beside(known), setting, self._short_offsets)
         return self._known[key]
 

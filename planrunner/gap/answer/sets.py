@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from planrunner.base.arrays import Array
-from planrunner.error_model.effects.interface import Curved, Shaped, Variant, is_whole
+from planrunner.error_model.effects.interface import Column, Curved, Shaped, Variant, is_whole
 from planrunner.gap.evidence.bayes_factors import (
     averaged,
     best_scales,
@@ -311,7 +311,6 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
     returned unchanged."""
     acting = [(k, on_output(m.candidate.effect)) for k, m in enumerate(one.members) if m.form.held]
     number, effect = next(((k, effect) for k, effect in acting if effect is not None), (0, None))
-    others = [member for k, member in enumerate(one.members) if k != number]
     if effect is None or sum(acts is not None for _, acts in acting) > 1:
         return one
     best, before = one, np.full(len(one.weighed.score[0]) - 1, np.inf)
@@ -321,7 +320,7 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
         amplitudes, covariance = weighing.amplitudes(one.weighed, walking=False)
         free = np.delete(np.arange(len(amplitudes)), own)
         now, spread = amplitudes[free], np.sqrt(np.diag(covariance)[free])
-        columns = [columns_of(weighing, m.candidate.effect, m.form, amplitudes[one.columns(m.id)]) for m in others]
+        columns = columns_beside(weighing, one, number)
         if (np.abs(now - before) < _SAME * spread).all() or not all(columns):
             break
         every = [column for each in columns for column in each]
@@ -342,6 +341,14 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
         if one.evidence > (least if best.on_others is None else best.evidence):
             best = one
     return best
+
+
+def columns_beside(weighing: Weighing, one: EffectSet, number: int) -> list[Sequence[Column]]:
+    """Returns the columns, with samples, of each member of a set except the one with the index `number`, at the fitted amplitudes.
+    A member has no columns if they cannot be computed."""
+    amplitudes, _ = weighing.amplitudes(one.weighed, walking=False)
+    others = [member for k, member in enumerate(one.members) if k != number]
+    return [columns_of(weighing, m.candidate.effect, m.form, amplitudes[one.columns(m.id)]) for m in others]
 
 
 def _given(weighing: Weighing, a: Weighed, others: Sequence[Candidate], setting: int) -> Iterator[tuple[Member, float]]:

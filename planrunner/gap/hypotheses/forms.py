@@ -283,6 +283,7 @@ _STEPS_BESIDE = 3  # number of steps with other effects, whose amplitudes are fi
 _ROUNDS = 15
 _PATIENCE = 4  # number of steps without a larger evidence after which a search ends
 _FAR = 100.0  # nats; an effect that is less probable by more than this is not evaluated exactly
+_GROWN = 0.1  # nats; a smaller increase of the evidence counts as no increase
 _FURTHER = 10.0  # times the gain of the last step, the largest gain that the next steps may bring
 _SAME = 0.05  # standard deviations; two shapes that differ by less count as equal
 _DROP = 0.5  # nats below the best log evidence, which correspond to one standard deviation
@@ -439,7 +440,7 @@ def _alternated(
             return visited[-1]
         visited = [max(visited, key=lambda one: one[0])]  # each contains the outputs of a nominal model
         course.append(visited[0][0])
-        if len(course) > _PATIENCE and course[-1] < course[-1 - _PATIENCE] + _STILL:
+        if len(course) > _PATIENCE and course[-1] < course[-1 - _PATIENCE] + _GROWN:
             break
         if len(course) > 1 and course[-1] + _FURTHER * (course[-1] - course[-2]) < reached - _FAR:
             break

@@ -39,12 +39,17 @@ class Events:
     channels: tuple[frozenset[int], ...]
     seconds: float
 
+    @property
+    def none(self) -> Array:
+        """Returns the log probability of no event at each rate, shape (Q,)."""
+        return np.asarray(-RATES * self.seconds)
+
     def log_bayes(self, without: Collection[int] = ()) -> Array:
         """Returns the log Bayes factor of the events at each rate, relative to noise without events, shape (Q,). Events in the channels
         `without` do not count."""
         used = np.array([own.isdisjoint(without) for own in self.channels], dtype=bool)
         grown = np.log(RATES)[:, None] + self.gains[used]
-        return np.asarray(np.logaddexp(0.0, grown).sum(1) - RATES * self.seconds)
+        return np.asarray(np.logaddexp(0.0, grown).sum(1) + self.none)
 
 
 def averaged_over_rates(log_bayes: Array) -> Array:

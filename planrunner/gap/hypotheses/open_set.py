@@ -53,7 +53,8 @@ class Kinds:
     factor of the competitor in each channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns
     outside the coefficients. No effect of the catalogue acts outside the coefficients, so these patterns are independent of every
     effect. `lines`: the strongest tone of each channel that shows a tone. `events`: array of shape (G, Q), log Bayes factor of the
-    events of the noise in the coefficients, at each rate (`noise_events.RATES`). `events_outside`: array of shape (Q,), log Bayes
+    events of the noise in the coefficients, at each rate (`noise_events.RATES`). `no_events`: array of shape (Q,), log probability
+    that the coefficients contain no event. `events_outside`: array of shape (Q,), log Bayes
     factor of the events outside the coefficients, which are the same for every effect. `with_events`: array of shape (G,), log Bayes
     factor of "something else" in noise with events (`unknown` states it in noise without events)."""
 
@@ -63,6 +64,7 @@ class Kinds:
     outside: float
     lines: tuple[Line, ...]
     events: Array
+    no_events: Array
     events_outside: Array
     with_events: Array
 
@@ -74,7 +76,7 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
     whole = {id(weight): Left.whole(weight) for each in weighing.weights for weight in each}
     patterns, beyond = _Patterns(weighing), outside_ or outside(weighing)
     several, with_events = np.full(len(weighing.base), -np.inf), np.full(len(weighing.base), -np.inf)
-    events = np.zeros((len(weighing.base), len(RATES)))
+    events, no_events = np.zeros((len(weighing.base), len(RATES))), np.zeros(len(RATES))
     tones_or_bursts = float(log_mean_exp(np.array([log_mean_exp(value, 0) for value in beyond.log_bayes.values()]), 0))
     each = {}
     for g in settings:
@@ -82,7 +84,7 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
         each[g] = patterns.weighed(channels) | beyond.log_bayes
         several[g] = _several(patterns, channels, each[g])
         found_events = patterns.short_offsets.events(patterns.scopes, channels)
-        events[g] = found_events.log_bayes()
+        events[g], no_events = found_events.log_bayes(), found_events.none
         with_events[g] = _with_events(patterns, each[g], several[g], found_events, beyond.events, tones_or_bursts)
     found = {pattern: np.full(len(weighing.base), -np.inf) for pattern in each[settings[0]]}
     for g, values in each.items():
@@ -94,15 +96,15 @@ def competitors(weighing: Weighing, outside_: Outside | None = None) -> Kinds:
     for pattern, per_channel in factors(weighing):
         spectra = [eigen(left, design) for left, design in zip(first, per_channel, strict=True)]
         alone[pattern] = np.array(_by_scope(spectra, [[index] for index in range(count)]))
-    return Kinds(found, several, alone, tones_or_bursts, beyond.lines, events, beyond.events, with_events)
+    return Kinds(found, several, alone, tones_or_bursts, beyond.lines, events, no_events, beyond.events, with_events)
 
 
 def _with_events(
     patterns: _Patterns, each: dict[Pattern, Array], several: float, events: Events, outside_: Array, beside: float
 ) -> float:
     """Returns the log Bayes factor of "something else" in noise with events. Beside a pattern, only events in other channels count:
-    they are independent of the pattern, so the result is a lower limit. Bursts explain the events outside the coefficients, and
-    combinations of patterns may contain bursts.
+    they are independent of the pattern, so the result is a lower limit. Beside a pattern without channels of its own, no events count.
+    Bursts explain the events outside the coefficients, and combinations of patterns may contain bursts.
 
     `each`: log Bayes factor of each pattern in each scope. `several`: log Bayes factor of combinations of patterns. `events`: the events
     in the coefficients. `outside_`: array of shape (Q,), log Bayes factor of the events outside them. `beside`: log Bayes factor of
@@ -110,7 +112,7 @@ def _with_events(
     elsewhere = np.array([events.log_bayes(scope) for scope in patterns.scopes])
     forms = [several]
     for pattern, value in each.items():
-        own = elsewhere if len(value) == len(patterns.scopes) else np.zeros((1, len(RATES)))
+        own = elsewhere if len(value) == len(patterns.scopes) else events.none[None]
         if pattern.sort in (Sort.TONE, Sort.BURSTS):
             own = events.log_bayes()[None]
         further = np.zeros(len(RATES)) if pattern.sort is Sort.BURSTS else outside_

@@ -240,7 +240,7 @@ def _evidence(windows: _Windows, parts: Sequence[_Channel]) -> float:
     for chance in CHANCES:
         own = np.maximum(np.array(gains) + _odds(chance), 0.0).sum()
         same = alike + np.arange(1, len(found) + 1) * _odds(chance)
-        both = np.logaddexp.reduce([own, *same[1:]]) - np.log(2.0)
+        both = np.logaddexp.reduce([own, 0.0, *same]) - np.log(2.0)
         total.append(windows.count * np.log1p(-chance) + both)
     return float(log_mean_exp(np.array(total), 0))
 
