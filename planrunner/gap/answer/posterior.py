@@ -181,12 +181,14 @@ def posterior(
             ratios = np.ones(len(weighing.weights)) if walks else dispersions(weighing, chain[-1][1])
             if (ratios > 1).any():
                 wide = weighing.inflated(ratios.tolist())
-                again, _ = _of_effects(wide, [_again(wide, c) for c in candidates], noise, sets)
+                once_more = [_again(wide, c) for c in candidates]
+                again, again_sets = _of_effects(wide, once_more, noise, sets)
+                in_wide = _Events(wide, kinds, once_more, again_sets, again, walk)
                 named = _shared(
                     {
-                        name: value + log_prior(name, count) + gains[name]
+                        name: value + log_prior(name, count) + _in_noise(kinds, in_wide.beside(name))
                         for name, value in again.items()
-                        if name in found
+                        if name in found and name not in PRIORS
                     }
                 )
             singles = [(name, by_id[name].best) for name in chain[-1][0].split("+")]
@@ -456,14 +458,14 @@ class _Events:
         each = [self._beside_effects(key)] if key else []
         if self._walk and self._walk in name.split("+"):
             each.append(self._beside_walk())
-        return min(each or [self._kinds.events[self._weighing.likeliest[0]]], key=lambda own: float(own.sum()))
+        return min(each or [self._without_effects()], key=lambda own: float(own.sum()))
 
     def _beside_effects(self, key: str) -> Array:
         if key == self._best or (key in self._by_id and self._rival(key)):
             return self._evaluated(key)
         visible = any(self._found.get(part, -np.inf) >= WORTH for part in key.split("+"))
         if not visible:
-            return np.asarray(self._kinds.events[self._weighing.likeliest[0]])
+            return self._without_effects()
         if "+" in key and "+" not in self._best:
             return min(map(self._beside_effects, key.split("+")), key=lambda own: float(own.sum()))
         return self._evaluated(self._best)
@@ -482,6 +484,11 @@ class _Events:
                 setting = self._weighing.likeliest_with(self._sets[key].log_bayes, False)
             self._known[key] = events_beside(self._weighing.beside(known), setting, self._short_offsets)
         return self._known[key]
+
+    def _without_effects(self) -> Array:
+        if "" not in self._known:
+            self._known[""] = events_beside(self._weighing, self._weighing.likeliest[0], self._short_offsets)
+        return self._known[""]
 
     def _beside_walk(self) -> Array:
         if self._walk not in self._known:
