@@ -577,15 +577,31 @@ class Left:
         return (at, whitened) if here.all() else (at[here], whitened[here])
 
 
-def eigen(left: Left, design: Array | Rows) -> Eigen:
-    """Returns the eigenvalues and the squared scores of a design. `design`: columns (M, P), or a mask (M,) of rows. A mask
-    represents a design with one column for each selected row; this column is zero in all other rows. Both results are empty if the
-    design is zero in all remaining rows."""
-    if design.ndim == 1:
+@dataclass(frozen=True)
+class AtRows:
+    """A design that is zero except in a few rows, such as the segment means. `rows`: array of shape (n,), indices of these rows.
+    `columns`: array of shape (n, P), the columns in these rows."""
+
+    rows: NDArray[np.int64]
+    columns: Array
+
+
+DesignColumns = Array | Rows | AtRows
+
+
+def eigen(left: Left, design: DesignColumns) -> Eigen:
+    """Returns the eigenvalues and the squared scores of a design. `design`: columns (M, P), columns that are zero except in a few
+    rows, or a mask (M,) of rows. A mask represents a design with one column for each selected row; this column is zero in all other
+    rows. Both results are empty if the design is zero in all remaining rows."""
+    if isinstance(design, AtRows):
+        rows, columns = design.rows, design.columns
+    elif design.ndim == 1:
         return _of_rows(left, np.flatnonzero(np.logical_and(design, left.rows)))
-    columns = np.asarray(design[:, design.any(axis=0)], dtype=float)
-    acting = np.flatnonzero(columns.any(axis=1))
-    at, whitened = left.whitened(columns[acting], acting)
+    else:
+        rows, columns = np.arange(len(design)), np.asarray(design, dtype=float)
+    columns = columns[:, columns.any(axis=0)]
+    acting = columns.any(axis=1)
+    at, whitened = left.whitened(columns[acting], rows[acting])
     if not whitened.size:
         return np.zeros(0), np.zeros(0)
     along = left.basis[at].T @ whitened

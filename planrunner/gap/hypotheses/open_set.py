@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean_exp
 from planrunner.gap.evidence.covariance import lasting
-from planrunner.gap.evidence.weighing import ChannelWeights, Eigen, Left, eigen, visible
+from planrunner.gap.evidence.weighing import ChannelWeights, DesignColumns, Eigen, Left, eigen, visible
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.noise_events import RATES, Events, averaged_over_rates
 from planrunner.gap.hypotheses.outside import PLAIN, Line, Outside, outside, scopes_of
-from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Rows, Sort, designs, factors, sizes, sorts
+from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort, designs, factors, sizes, sorts
 from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets
 
 PERIODIC = Pattern("offset periodic in time", Sort.SEVERAL, Factor.TIME)
@@ -265,7 +265,7 @@ class _Patterns:
             found[SHORT_OFFSETS] = list(self.short_offsets.weighed(self.scopes, channels))
         return {pattern: np.array(each) for pattern, each in found.items()}
 
-    def _eigen(self, pattern: Pattern, left: Left, design: Array | Rows) -> Eigen:
+    def _eigen(self, pattern: Pattern, left: Left, design: DesignColumns) -> Eigen:
         if (pattern, left) not in self._known:
             self._known[pattern, left] = eigen(left, design)
         return self._known[pattern, left]

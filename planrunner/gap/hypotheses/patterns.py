@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.table import RIPPLES
 from planrunner.error_model.observed import Observed
+from planrunner.gap.evidence.weighing import AtRows, DesignColumns, Rows
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.observation.surroundings import CHANGED
 from planrunner.plan.schedule import Motion, RecordedMotion, Rest, Rock, Spin
-
-Rows = NDArray[np.bool_]
 
 
 class Sort(Enum):
@@ -63,9 +62,8 @@ class Pattern:
     factor: Factor
 
 
-PatternDesign = tuple[Pattern, list[Array | Rows]]
-"""A pattern and its design. For each channel, the design contains columns (M, P) that are not whitened, or a mask (M,) of rows,
-each of which counts as a separate column."""
+PatternDesign = tuple[Pattern, list[DesignColumns]]
+"""A pattern and its design in each channel. The columns of the design are not whitened."""
 HARMONICS = {1: Sort.ONCE_PER_TURN, 2: Sort.TWICE_PER_TURN, 3: Sort.THRICE_PER_TURN}
 WHOLE = {
     Sort.MEANS: Pattern("offset per segment", Sort.MEANS, Factor.TIME),
@@ -93,10 +91,8 @@ def designs(weighing: Weighing) -> Iterator[PatternDesign]:
     offsets.append(("time, in many turns", Factor.TIME, _smooth(coordinates[Factor.TIME], TIME_ORDERS, 0.0)))
     offsets.append(("gravity", Factor.ORIENTATION, _monomials(observed.force[starts] / observed.site.gravity)))
 
-    def at_means(table: Array) -> Array:
-        out = np.zeros((len(spectrum.segment), table.shape[1]))
-        out[spectrum.means] = table * counts[:, None]
-        return out
+    def at_means(table: Array) -> AtRows:
+        return AtRows(spectrum.means, table * counts[:, None])
 
     yield WHOLE[Sort.MEANS], [at_means(np.eye(len(observed)))] * everywhere
     for name, factor, basis in offsets:
@@ -120,9 +116,10 @@ def designs(weighing: Weighing) -> Iterator[PatternDesign]:
     for pattern, basis in zip(
         scales, (np.eye(len(observed)), smooth[Factor.TEMPERATURE], smooth[Factor.TIME]), strict=True
     ):
+        by_axis = [at_means(rates[:, [axis]] * basis) for axis in range(3)]
         yield (
             pattern,
-            [at_means(rates[:, [channel.axis]] * basis) for channel in observed.channels],
+            [by_axis[channel.axis] for channel in observed.channels],
         )
     rows = sorts(weighing)
     yield WHOLE[Sort.TRANSIENT], [rows[Sort.TRANSIENT]] * everywhere
@@ -171,20 +168,18 @@ def factors(weighing: Weighing) -> Iterator[PatternDesign]:
     observed, spectrum = weighing.observed, weighing.spectrum
     segments = range(len(observed))
 
-    def at_means(table: Array) -> Array:
-        out = np.zeros((len(spectrum.segment), table.shape[1]))
-        out[spectrum.means] = table * np.sqrt(observed.counts)[:, None]
-        return out
+    def at_means(table: Array) -> AtRows:
+        return AtRows(spectrum.means, table * np.sqrt(observed.counts)[:, None])
 
     levels = {
-        "gyro": at_means(_levels([_upward(observed, s) for s in segments])),
-        "accel": at_means(_levels([_coarse(observed.attitude[s]) for s in segments])),
+        "gyro": _levels([_upward(observed, s) for s in segments]),
+        "accel": _levels([_coarse(observed.attitude[s]) for s in segments]),
     }
-    yield _BY_ORIENTATION, [levels[channel.kind] for channel in observed.channels]
-    states = at_means(_levels([_state(observed, s) for s in segments]))
+    yield _BY_ORIENTATION, [at_means(levels[channel.kind]) for channel in observed.channels]
+    states = _levels([_state(observed, s) for s in segments])
     yield (
         _offset("offset by orientation and motion", Factor.ORIENTATION),
-        [np.hstack([levels[channel.kind], states]) for channel in observed.channels],
+        [at_means(np.hstack([levels[channel.kind], states])) for channel in observed.channels],
     )
     if observed.along is None:
         cosines = _orientations(observed)
@@ -249,7 +244,7 @@ def _upward(observed: Observed, segment: int) -> Hashable:
     return _coarse(observed.force[first] / observed.site.gravity) + _coarse(north)
 
 
-def sizes(weighing: Weighing, signatures: Sequence[Array]) -> PatternDesign:
+def sizes(weighing: Weighing, signatures: Sequence[Array]) -> tuple[Pattern, list[Array]]:
     """Makes a pattern in which an effect has a separate size for each motion: for each rate of turning, for each frequency and
     amplitude of rocking, and for each segment of a recorded motion. A cause outside the catalogue that resembles the effect usually
     depends on the motion in a different way from the effect.
