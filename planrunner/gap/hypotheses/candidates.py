@@ -466,17 +466,20 @@ class Weighing:
     def _signals(self, columns: Sequence[Column]) -> list[Array]:
         """Returns the samples (N,) of the nominal output and of all columns: those of the nominal parameters, and `columns`."""
         of_channels = [part for column in (*self.nominal_columns, *columns) for part in column.parts.values()]
-        distinct = {(part.__array_interface__["data"][0], part.strides): part for part in of_channels}
-        return [*self._reference.T, *distinct.values()]
+        return [*self._reference.T, *{_place(part): part for part in of_channels}.values()]
 
     def _at_samples(
         self, kept: NDArray[np.bool_], spectrum_: Spectrum, columns: Sequence[Column]
     ) -> tuple[Weighing, list[Column]]:
-        """Returns a copy that contains only the samples in the mask `kept` (N,), and `columns` for this copy. `spectrum_`: projects
-        columns of these samples."""
+        """Returns a copy that contains only the samples in the mask `kept` (N,), and `columns` for this copy. Columns that share their
+        samples also share them in the copy. `spectrum_`: projects columns of these samples."""
+        taken: dict[tuple[int, tuple[int, ...]], Array] = {}
 
         def short(column: Column) -> Column:
-            return replace(column, parts={channel: part[kept] for channel, part in column.parts.items()})
+            for part in column.parts.values():
+                if _place(part) not in taken:
+                    taken[_place(part)] = part[kept]
+            return replace(column, parts={channel: taken[_place(part)] for channel, part in column.parts.items()})
 
         made = self._changed(
             observed=self.observed.at_samples(kept),
@@ -679,6 +682,11 @@ class Weighing:
         """Evaluates several effects together: their columns form one linear model. `forms`: one form of each effect."""
         (weighed,) = self.weigh_reduced([joined(forms)])
         return weighed
+
+
+def _place(part: Array) -> tuple[int, tuple[int, ...]]:
+    """Returns the place of an array in memory, which is the same for two views of the same values."""
+    return part.__array_interface__["data"][0], part.strides
 
 
 def _constant(signal: Array, bounds: NDArray[np.int64]) -> NDArray[np.bool_]:
