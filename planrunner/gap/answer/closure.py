@@ -820,11 +820,15 @@ def _fold(
     used = [_Rows(weighing, noise, channel, ~held) for channel in range(len(weighing.weights))]
     bounds = np.concatenate(([0], np.cumsum([choice.raw[0].shape[1] for choice in choices])))
     parts = [slice(low, high) for low, high in pairwise(bounds)]
-    raw = [np.hstack([choice.raw[c] for choice in choices]) for c in range(len(used))]
-    columns = [rows.project(table[~held]) for rows, table in zip(used, raw, strict=True)]
-    score = np.sum([block.T @ rows.residual for block, rows in zip(columns, used, strict=True)], axis=0)
-    told = [np.sum([block[:, part].T @ block[:, part] for block in columns], axis=0) for part in parts]
-    predicted = [rows.predict(table, held) for rows, table in zip(used, raw, strict=True)]
+    score, told = np.zeros(bounds[-1]), [np.zeros((part.stop - part.start,) * 2) for part in parts]
+    predicted = []
+    for c, rows in enumerate(used):  # one after the other: the columns of all choices need much memory
+        table = np.hstack([choice.raw[c] for choice in choices])
+        columns = rows.project(table[~held])
+        score += columns.T @ rows.residual
+        for part, gram in zip(parts, told, strict=True):
+            gram += columns[:, part].T @ columns[:, part]
+        predicted.append(rows.predict(table, held))
     signatures = np.concatenate([s for _, s in predicted])
     best, amplitudes, highest = None, np.zeros(0), worth
     for choice, part, gram in zip(choices, parts, told, strict=True):
