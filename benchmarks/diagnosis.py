@@ -64,6 +64,12 @@ def measure_long(samples: int, repeats: int = 1) -> Figures:
     )
     units, factor = {c.name: c.unit for c in seen.channels}, np.array([c.factor for c in seen.channels])
     noise, count = (np.array([getattr(c, name) for c in seen.channels]) / factor for name in ("white", "resolution"))
+    parts, attitude, motions = seen.segments(), seen.attitude, seen.motions
+    model = [
+        (own.mean(0)[None] if rests else own) / factor
+        for own, rests in zip((seen.values[part] for part in parts), still, strict=True)
+    ]
+    del seen  # its samples would count as memory of the diagnosis
 
     def segment(index: int, part: slice, start: float) -> RecordedSegment:
         rows = lasting if still[index] else part.stop - part.start
@@ -72,20 +78,18 @@ def measure_long(samples: int, repeats: int = 1) -> Figures:
             draw = np.random.default_rng(index)
             for first in range(0, rows, 65_536):
                 n = min(65_536, rows - first)
-                values = seen.values[part][first : first + n] / factor
+                values = model[index][first : first + n]
                 if still[index]:
-                    values = seen.values[part].mean(0) / factor + draw.standard_normal((n, 6)) * noise * np.sqrt(rate)
+                    values = model[index] + draw.standard_normal((n, 6)) * noise * np.sqrt(rate)
                     values = np.round(values / count) * count
                 columns = dict(zip(units, values.T, strict=True))
                 yield Block(start + (first + np.arange(n)) / rate, {name: columns[name] for name in names})
 
-        made = Segment(
-            index, f"S{index}", seen.attitude[index], "", seen.motions[index], rows / rate, temperature=298.15
-        )
+        made = Segment(index, f"S{index}", attitude[index], "", motions[index], rows / rate, temperature=298.15)
         return RecordedSegment(made, units, statistics_of(blocks(tuple(units)), tuple(units), rows), blocks)
 
     began, worked, start, made = time.perf_counter(), time.process_time(), 600.0, []
-    for index, part in enumerate(seen.segments()):
+    for index, part in enumerate(parts):
         made.append(segment(index, part, start))
         start = made[-1].statistics.end + 20.0
     found = observed(made, SITE, SensorModel("imu", outputs, rate))
