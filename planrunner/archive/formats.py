@@ -32,7 +32,10 @@ class FormatError(IntegrityError):
             f"{path}: its format is {version}, but this version of planrunner reads only format {known}: use the version of "
             f"planrunner that wrote it"
         )
-        self.version, self.known = version, known
+        self.path, self.version, self.known = path, version, known
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.path, self.version, self.known)
 
 
 RUN_FORMAT = 1

@@ -22,6 +22,8 @@ _GIVEN = {
     "findings": (Finding(Mark("plan.yaml", 2, 3), "meaning-range", "error", "too large", "use 3"),),
     "code": "quantity-unit",
     "key": "segments",
+    "version": 1,
+    "known": 3,
 }
 """Values for the arguments of the exceptions, by their names."""
 _STAY = {"CalledOffError", "StoppedAtOnceError", "RefusedRequestError", "EndedError"}
