@@ -147,7 +147,14 @@ def test_readings_that_stand_at_a_limit_are_not_taken_for_precise_ones(limit: fl
 
 
 @pytest.mark.parametrize(
-    ("upper", "lower"), [(60.0, np.inf), (np.inf, 89.9), (17.0, np.inf), (60.0, 80.0), (85.0, 30.0)]
+    ("upper", "lower"),
+    [
+        (60.0, 80.0),
+        pytest.param(60.0, np.inf, marks=pytest.mark.slow),
+        pytest.param(np.inf, 89.9, marks=pytest.mark.slow),
+        pytest.param(17.0, np.inf, marks=pytest.mark.slow),
+        pytest.param(85.0, 30.0, marks=pytest.mark.slow),
+    ],
 )
 def test_limits_that_differ_between_the_directions_are_named_with_their_values(upper: float, lower: float) -> None:
     """The rates are ±18, ±40 and ±90 deg/s. With the limit of both directions as the only hypothesis, the answer was an asymmetry together
