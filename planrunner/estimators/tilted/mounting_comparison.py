@@ -62,7 +62,7 @@ def time_note(seconds: float, mountings: int, remounting: float) -> Said:
     one, many = seconds + remounting, mountings * (seconds + remounting)
     return said(
         "Test time: {one} in one tilted mounting ({scheduled} as scheduled, {remounting} for mounting). With one axis at a "
-        "time, the whole test would be run in each of {mountings} mountings and take {many}.",
+        "time, the whole test would be run in each of {mountings} mountings, which would take {many} in total.",
         one=_hours(one),
         scheduled=_hours(seconds),
         remounting=_hours(remounting),
