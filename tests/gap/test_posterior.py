@@ -110,12 +110,17 @@ def test_averaging_over_a_shape_never_gains() -> None:
 
 
 def test_events_beside_a_pair_that_was_evaluated_quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The pair has the largest evidence, but was not evaluated in full. Events are then evaluated in addition to its first effect."""
+    """The pair has the largest evidence, but was not evaluated in full. Events are then evaluated in addition to its first effect. A
+    random walk that explains much less has no more events than this effect."""
     monkeypatch.setattr(posterior, "ShortOffsets", lambda _: None)
-    monkeypatch.setattr(posterior, "events_beside", lambda weighing, setting, _: np.full(4, weighing))
-    weighing = SimpleNamespace(likeliest=(0, 0), beside=lambda known: known, likeliest_with=lambda *_: 0)
+    monkeypatch.setattr(
+        posterior, "events_beside", lambda weighing, *_: np.full(4, weighing if isinstance(weighing, float) else 9.0)
+    )
+    weighing = SimpleNamespace(likeliest=(0, 0), base=[0.0], beside=lambda known: known, likeliest_with=lambda *_: 0)
     kinds = SimpleNamespace(events=np.zeros((1, 4)))
     candidates = [SimpleNamespace(id=name, log_bayes=np.zeros(1), best=at) for name, at in (("a", 3.0), ("b", 5.0))]
-    found = {"none": 0.0, "a": 100.0, "b": 20.0, "a+b": 101.0}
-    events = posterior._Events(weighing, kinds, candidates, {}, found, "")  # type: ignore[arg-type]
-    assert [events.beside(name).tolist() for name in ("a", "b", "a+b")] == [[3.0] * 4] * 3
+    found = {"none": 0.0, "a": 100.0, "b": 20.0, "a+b": 101.0, "walk": 40.0}
+    events = posterior._Events(weighing, kinds, candidates, {}, found, "walk")  # type: ignore[arg-type]
+    assert [events.beside(name).tolist() for name in ("a", "b", "a+b", "walk")] == [[3.0] * 4] * 4
+    likelier = posterior._Events(weighing, kinds, candidates, {}, found | {"walk": 95.0}, "walk")  # type: ignore[arg-type]
+    assert likelier.beside("walk").tolist() == [9.0] * 4

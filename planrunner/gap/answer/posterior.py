@@ -453,11 +453,13 @@ class _Events:
 
     def beside(self, name: str) -> Array:
         """Returns the log Bayes factor of the events in the coefficients in addition to the effects of a hypothesis, at each rate, shape
-        (Q,)."""
+        (Q,). A hypothesis that is much less probable than the best set has no more events than this set."""
         key = self._key(name)
         each = [self._beside_effects(key)] if key else []
         if self._walk and self._walk in name.split("+"):
             each.append(self._beside_walk())
+        if self._best and self._found.get(name, -np.inf) < self._found[self._best] - RIVAL:
+            each.append(self._evaluated(self._best))
         return min(each or [self._without_effects()], key=lambda own: float(own.sum()))
 
     def _beside_effects(self, key: str) -> Array:
