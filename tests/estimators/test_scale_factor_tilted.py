@@ -273,7 +273,7 @@ def test_comparison_with_one_mounting_an_axis() -> None:
     seconds = sum(whole_turns(rate) for rate in (300, 150, 60, 20, 10, 1)) * 2 + 120
     assert (
         f"{(seconds + 3600) / 3600:.3g} h in one tilted" in note
-        and f"in each of 3 mountings and take {3 * (seconds + 3600) / 3600:.3g} h" in note
+        and f"in each of 3 mountings, which would take {3 * (seconds + 3600) / 3600:.3g} h in total" in note
     )
 
 
