@@ -194,7 +194,10 @@ def test_bursts_are_found_while_the_table_turns_fast() -> None:
     assert competitors(Weighing(record(seed=63, fault=fault))).log_bayes[BURSTS][0] > 30
 
 
-@pytest.mark.parametrize(("sizes", "kind"), [((1.0, 1.0, 1.0), "effect"), ((1.0, -1.6, 0.5), "unknown")])
+@pytest.mark.parametrize(
+    ("sizes", "kind"),
+    [((1.0, 1.0, 1.0), "effect"), pytest.param((1.0, -1.6, 0.5), "unknown", marks=pytest.mark.slow)],
+)
 def test_an_effect_whose_size_is_another_in_each_motion_is_imitated(sizes: tuple[float, ...], kind: str) -> None:
     """An asymmetry at 18, 40 and 90 °/s."""
 
