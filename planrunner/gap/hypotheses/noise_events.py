@@ -2,7 +2,7 @@
 
 An event lasts for a few seconds. It appears in the coefficients as a short offset (`hypotheses.short_offsets`), or outside them as a
 burst (`hypotheses.outside`). Every hypothesis contains such events, so they are no evidence for a cause. Their times follow a Poisson
-process. The rate of this process is not known. Each event has a size and channels of its own, independently of the other events. A
+process. The rate of this process is not known. Each event has its own size and channels, independently of the other events. A
 cause outside the catalogue differs from these events: it acts in the same channels each time, it may be larger, and it may recur more
 often.
 

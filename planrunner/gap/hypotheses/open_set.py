@@ -103,7 +103,7 @@ def _with_events(
     patterns: _Patterns, each: dict[Pattern, Array], several: float, events: Events, outside_: Array, beside: float
 ) -> float:
     """Returns the log Bayes factor of "something else" in noise with events. Beside a pattern, only events in other channels count:
-    they are independent of the pattern, so the result is a lower limit. Beside a pattern without channels of its own, no events count.
+    they are independent of the pattern, so the result is a lower limit. Beside a pattern of all channels, no events count.
     Bursts explain the events outside the coefficients, and combinations of patterns may contain bursts.
 
     `each`: log Bayes factor of each pattern in each scope. `several`: log Bayes factor of combinations of patterns. `events`: the events

@@ -222,7 +222,7 @@ def _products(left: Left, rows: NDArray[np.int64]) -> Array:
 
 def _evidence(windows: _Windows, parts: Sequence[_Channel]) -> float:
     """Returns the log Bayes factor of offsets in the same windows of several channels (`parts`). With equal probability, each offset has
-    a size of its own, or all offsets have the same size: a cause that acts for a few seconds at a time often has the same strength each
+    its own size, or all offsets have the same size: a cause that acts for a few seconds at a time often has the same strength each
     time."""
     whole, prior, first = np.sum([part.size for part in parts], axis=0), np.log(windows.share), parts
     gains: list[float] = []
