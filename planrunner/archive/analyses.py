@@ -85,7 +85,7 @@ class StoredAnalysis:
         for name in sorted(standing | set(listed)):
             if name not in standing:
                 yield IntegrityError(
-                    f"{self.path / name}: missing from the analysis; take the run folder from a backup, or estimate again",
+                    f"{self.path / name}: missing from the analysis; restore the run folder from a backup, or estimate again",
                     "run-file-missing",
                 )
             elif name not in listed:
@@ -116,14 +116,14 @@ def exchanged(path: Path, other: str) -> IntegrityError:
 
 def _changed(path: Path) -> IntegrityError:
     return IntegrityError(
-        f"{path}: changed after the analysis was made; take the run folder from a backup, or estimate again"
+        f"{path}: changed after the analysis was made; restore the run folder from a backup, or estimate again"
     )
 
 
 def _unreadable(path: Path, error: OSError) -> IntegrityError:
     how = "" if isinstance(error, NotOrdinaryError) else "cannot be read: "
     code = "run-file-missing" if isinstance(error, FileNotFoundError) else "run-changed"
-    return IntegrityError(f"{path}: {how}{error.strerror}; take the run folder from a backup", code)
+    return IntegrityError(f"{path}: {how}{error.strerror}; restore the run folder from a backup", code)
 
 
 def _other_format(run: GuardedFolder, path: Path, error: FormatError) -> IntegrityError:
@@ -212,7 +212,7 @@ def add_analysis(run: GuardedFolder, files: Mapping[str, bytes], basis: Basis) -
             Mark(str(run.path / FOLDER)),
             "analysis-unwritable",
             message,
-            "make room or change permissions, then estimate again",
+            "free disk space or change permissions, then estimate again",
         ) from None
 
 

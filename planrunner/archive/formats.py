@@ -44,7 +44,7 @@ DIGESTS_FORMAT = 3
 HEAD_FORMAT = 1
 MOST_LEVELS = 64
 """Maximum nesting depth of a JSON file or line."""
-FROM_BACKUP = "take the run folder from a backup"
+FROM_BACKUP = "restore the run folder from a backup"
 
 
 def to_bytes(value: Json) -> bytes:

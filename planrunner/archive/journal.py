@@ -204,7 +204,7 @@ class JournalScan:
     def _error(self, what: str, code: str = "run-changed") -> IntegrityError:
         return IntegrityError(
             f"{self.path}:{self.count + 1}: this line {what}: the journal was changed after it was written; "
-            "take the run folder from a backup",
+            "restore the run folder from a backup",
             code,
         )
 

@@ -128,7 +128,7 @@ def _hold(place: Path, url: str) -> None:
         except InputError:
             if monotonic() > until:
                 message = "another planrunner command is using this archive on this computer"
-                hint = f"wait until it ends, or let {CACHE} name another folder"
+                hint = f"wait until it ends, or set {CACHE} to another folder"
                 raise InputError.at(Mark(url), "remote-in-use", message, hint) from None
             sleep(0.1)
         else:
@@ -444,7 +444,7 @@ def _opened(url: str) -> tuple[AbstractFileSystem, str]:
     except ImportError:
         raise _missing(url, "fsspec is not installed") from None
     if _TAKES_ANY_SERVER.search(url):
-        message = "SFTP is not supported: its library does not check that the server is the right one"
+        message = "SFTP is not supported: its library does not verify the identity of the server"
         raise InputError.at(Mark(url), "remote-refused", message, "mount the folder, for example with sshfs")
     with _told(url):
         try:

@@ -272,7 +272,7 @@ class RunWriter:
             if isinstance(error, OSError):
                 message = f"the run folder cannot be written: {error.strerror or error}"
                 raise InputError.at(
-                    Mark(str(folder.path)), "run-unwritable", message, "make room, or change its permissions"
+                    Mark(str(folder.path)), "run-unwritable", message, "free disk space, or change its permissions"
                 ) from None
             raise
 

@@ -181,7 +181,10 @@ class RunLog:
             archive.mkdir(parents=True, exist_ok=True)
             above, aside = GuardedFolder.open(archive), FOLDER + ASIDE
             if above.entry(FOLDER) is not None:
-                message, hint = "this archive has a log already", "a log is never begun again"
+                message, hint = (
+                    "this archive has a log already",
+                    "the existing log is kept; a log cannot be replaced by a new one",
+                )
                 raise InputError.at(Mark(str(archive / FOLDER)), "log-exists", message, hint)
             above.remove_folder(aside)
             made = cls(storage.make_folder(above, aside), storage)
@@ -258,7 +261,7 @@ class RunLog:
                 break
             except HeldError:
                 if time.monotonic() > until:
-                    raise OSError(f"{self.path / LOCK}: another process keeps writing the log") from None
+                    raise OSError(f"{self.path / LOCK}: other processes are still writing the log") from None
                 time.sleep(0.01)
         try:
             yield
@@ -281,7 +284,10 @@ def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tup
     """Yields the contradictions between the log and a tree head that was noted earlier, each as a code and a message. `named`: the
     words with which messages refer to this tree head."""
     if head.size > len(content.entries):
-        yield "log-cut", f"the log was cut: {named} counts {head.size} entries, the log has {len(content.entries)}"
+        yield (
+            "log-cut",
+            f"the log was cut: {named} records {head.size} entries, but the log has only {len(content.entries)}",
+        )
     elif content.root(head.size) != head.root:
         yield "log-changed", f"the log was rewritten: its first {head.size} entries are not those of {named}"
 
@@ -289,7 +295,9 @@ def head_faults(content: LogContent, head: TreeHead, named: str) -> Iterator[tup
 def unwritable(archive: Path, error: OSError) -> InputError:
     """Returns the error for a log that cannot be written."""
     message = f"the log of the archive cannot be written: {error.strerror or error}"
-    return InputError.at(Mark(str(archive / FOLDER)), "log-unwritable", message, "make room, or change its permissions")
+    return InputError.at(
+        Mark(str(archive / FOLDER)), "log-unwritable", message, "free disk space, or change its permissions"
+    )
 
 
 def _parsed(line: bytes) -> LogEntry | None:

@@ -159,7 +159,7 @@ class RunReader:
         for item in self.acknowledged():
             known = item.index < len(schedule.segments)
             if not (known and spelt_alike(item.label, schedule.segments[item.index].label)):
-                message = f"segment {item.index + 1} was recorded as '{item.label}', which the plan does not have there"
+                message = f"segment {item.index + 1} was recorded as '{item.label}', but the plan has no such segment at this place"
                 raise IntegrityError(f"{self.path}: {message}; has planrunner been updated since?")
             parts = islice(files, len(item.parts))
             first = next(parts, None)

@@ -402,7 +402,7 @@ class SegmentData:
         if any(field.type != pa.float64() for field in schema) or about.num_columns != columns:
             raise self._foreign("not every column is of 64-bit floats")
         if part.rows > max(1, PART_BYTES // (8 * columns)):
-            raise self._foreign(f"{part.rows} rows of {columns} columns are more than a part holds")
+            raise self._foreign(f"{part.rows} rows of {columns} columns are more than a part may contain")
         for group in groups:
             for number in range(columns):
                 column = group.column(number)
@@ -420,7 +420,7 @@ class SegmentData:
         return float(time[-1])
 
     def _foreign(self, what: str) -> IntegrityError:
-        return IntegrityError(f"{self.path}: not a recording of a segment: {what}; take the file from a backup")
+        return IntegrityError(f"{self.path}: not a recording of a segment: {what}; restore the file from a backup")
 
 
 def rows_of(data: bytes) -> int:
@@ -448,10 +448,10 @@ def _checked_bytes(folder: GuardedFolder, part: Part) -> bytes:
         data = folder.folder(FOLDER).read(part.file.removeprefix(f"{FOLDER}/"), MOST_BYTES)
     except OSError as error:
         how = "" if isinstance(error, NotOrdinaryError) else "cannot be read: "
-        raise IntegrityError(f"{path}: the samples: {how}{error.strerror}; take the file from a backup") from None
+        raise IntegrityError(f"{path}: the samples: {how}{error.strerror}; restore the file from a backup") from None
     if digest(data) != part.sha256 or len(data) != part.bytes:
         raise IntegrityError(
-            f"{path}: the samples differ from what was recorded (SHA-256); take the file from a backup"
+            f"{path}: the samples differ from what was recorded (SHA-256); restore the file from a backup"
         )
     return data
 

@@ -31,7 +31,9 @@ def require_space(folder: Path, needed: int) -> None:
     missing = shortage(folder, needed)
     if missing:
         message = f"the run {missing}"
-        raise InputError.at(Mark(str(folder)), "disk-space", message, "make room, or choose another folder for runs")
+        raise InputError.at(
+            Mark(str(folder)), "disk-space", message, "free disk space, or choose another folder for runs"
+        )
 
 
 def shortage(folder: Path, needed: int) -> str:

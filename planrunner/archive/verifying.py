@@ -329,7 +329,8 @@ def _check_seal(found: Examined, standing: RecordedEntries) -> None:
         found.error(
             "run-seal-missing",
             message,
-            "if planrunner ended before it wrote the seal, `planrunner resume` seals the run",
+            "if planrunner was stopped just before it wrote the seal, seal the run with `planrunner resume`; "
+            "otherwise, restore the run folder from a backup",
         )
     elif found.seal is None or not found.state.finished:
         again = found.seal is not None and "it was opened again after it was sealed, and is not finished: "
@@ -405,7 +406,10 @@ def _check_times(found: Examined) -> None:
             found.error("run-changed", f"{place}: '{text[:40]}' is not a time")
             continue
         if latest is not None and moment < latest[0] - CLOCK_STEP:
-            _tell_clock(found, f"{place}: dated {text}, before {latest[1]} ({latest[0].isoformat()}), which it follows")
+            _tell_clock(
+                found,
+                f"{place}: dated {text}, although it was written after {latest[1]}, which is dated {latest[0].isoformat()}",
+            )
         if moment > now + CLOCKS_DIFFER:
             _tell_clock(found, f"{place}: dated {text}, which is in the future")
         if latest is None or moment > latest[0]:

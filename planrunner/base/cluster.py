@@ -302,7 +302,7 @@ def _answer_of(future: Future[_Answer], address: str) -> _Answer:
 def _require_fit(answer: _Answer, terms: _Terms, address: str) -> None:
     if answer.unfit is not None:
         other = ", ".join(f"{name} {there} instead of {here}" for name, (here, there) in answer.unfit.items())
-        message = f"the worker {answer.worker} of {address} has other versions: {other}"
+        message = f"the worker {answer.worker} of {address} has different versions: {other}"
         hint = "install the same versions on each worker: results are otherwise not the same to the last digit"
         raise ClusterError.at(Mark(_SCHEDULER), "scheduler-versions", message, hint)
     if answer.unseen:

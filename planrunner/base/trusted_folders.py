@@ -71,7 +71,7 @@ def hold(path: Path, known: os.stat_result, user: int, *, reachable: bool = True
     if sys.platform == "win32":
         return
     if known.st_uid not in (user, ADMINISTRATOR):
-        raise UntrustedFolderError(f"{path} belongs to another user (number {known.st_uid})")
+        raise UntrustedFolderError(f"{path} belongs to another user (user ID {known.st_uid})")
     if stat.S_ISLNK(known.st_mode) or not reachable:
         return
     if known.st_mode & OTHERS_WRITE and not (stat.S_ISDIR(known.st_mode) and known.st_mode & stat.S_ISVTX):

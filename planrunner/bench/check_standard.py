@@ -109,10 +109,12 @@ def _check(rule: CheckStandardRule, log: Findings) -> None:
     for one in rule.coefficients.values():
         spread, centre = one.repeatability, one.reference
         if spread is not None and spread.unit.offset:
-            message = f"a repeatability is a difference, which {spread.unit.text} does not state"
+            message = f"a repeatability is a difference between values, so it cannot be given in {spread.unit.text}"
             log.error("meaning-range", one.at("repeatability"), message, "write it in K")
         elif spread is not None and spread.value < 0:
-            log.error("meaning-range", one.at("repeatability"), "a repeatability is not negative", "write zero or more")
+            log.error(
+                "meaning-range", one.at("repeatability"), "a repeatability cannot be negative", "write zero or more"
+            )
         if spread is not None and centre is not None and spread.unit.dimension != centre.unit.dimension:
             message = f"the repeatability in {spread.unit.text} does not belong to a reference in {centre.unit.text}"
             log.error("meaning-dimension", one.at("repeatability"), message, f"write it in {centre.unit.text}")

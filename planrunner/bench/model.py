@@ -60,11 +60,13 @@ class DeviationOfVertical(Record):
     """States the deviation of the plumb line from the normal of the ellipsoid at the site."""
 
     north: Quantity = key(
-        QuantityOf("angle", uncertain=True), "ξ, astronomic less geodetic latitude, north positive.", "3.2 arcsec"
+        QuantityOf("angle", uncertain=True),
+        "ξ: astronomic latitude minus geodetic latitude; north positive.",
+        "3.2 arcsec",
     )
     east: Quantity = key(
         QuantityOf("angle"),
-        "η, towards east; astronomic less geodetic azimuth is η·tan φ.",
+        "η, towards east: astronomic azimuth minus geodetic azimuth is η·tan φ.",
         "-1.5 arcsec",
         default=parse_quantity("0 arcsec"),
     )
@@ -186,7 +188,9 @@ class Bench(Record):
 
     planrunner_bench: int = key(Number(1, 1, integer=True), "Version of the bench language.", 1)
     name: str = key(Text(LINE, "a name"), "Name of the bench.", "virtual")
-    description: str = key(Text(), "What the bench is, for reviewers.", "Three-axis table with chamber.", default="")
+    description: str = key(
+        Text(), "Description of the bench, for reviewers.", "Three-axis table with chamber.", default=""
+    )
     clock: str | None = optional(
         Choice(("virtual", "wall")),
         "virtual: time is simulated and runs as fast as possible; wall: real time. The default is virtual if the "

@@ -80,7 +80,7 @@ def start_motion(
             message = (
                 f"the sensor records the table's angle about one axis, but the plan rocks {len(motion.phases)} rings"
             )
-            hint = "rock the outermost ring alone, or write `table_angle: false` in the bench file"
+            hint = "rock only the outermost ring, or write `table_angle: false` in the bench file"
             log.error("physics-table-angle", at("rock"), message, hint)
     if table is None:
         if not models.replays:
@@ -100,9 +100,9 @@ def _check_moved(motion: RecordedMotion, models: BenchModels, at: MarkOf, log: F
     """Checks a motion that is not commanded. The motion must be possible on this bench, and the sensor of the bench must have the
     channels that show the motion."""
     if models.table is not None:
-        message = "the table of this bench moves only on command, so the sensor cannot move in a way that only the recording shows"
+        message = "a recorded motion is not possible on this bench, because its table moves only as the plan commands"
         log.error(
-            "physics-recorded-motion", at("recorded"), message, "state the motion of the table, or use another bench"
+            "physics-recorded-motion", at("recorded"), message, "describe the motion of the table, or use another bench"
         )
         return
     if models.sensor is None:
@@ -144,7 +144,7 @@ def _complain(excess: Sequence[Excess], mark: Mark, log: Findings) -> None:
         elif one.kind == "axis":
             log.error("physics-rate-axis", mark, one.message, "give the segment an orientation, or spin about up")
         elif one.kind == "acceleration":
-            log.error("physics-acceleration", mark, one.message, "lower amplitude or frequency")
+            log.error("physics-acceleration", mark, one.message, "lower the amplitude or the frequency")
         else:
             hint = "turn by smaller angles, begin at another position, or use a table with slip rings"
             log.error("physics-cable-wrap", mark, one.message, hint)

@@ -43,7 +43,7 @@ class ApprovalRule(Record):
     withdrawn: tuple[str, ...] = key(
         ListOf(Text(r"[0-9a-f]{64}", "a SHA-256 digest")),
         "Approvals that do not count on this bench, by the digests that `planrunner approve --list` prints. "
-        "Somebody can delete a withdrawal that is beside the plan; an entry of this list stays.",
+        "A withdrawal that is stored beside the plan can be deleted; an entry in this list remains.",
         ["9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"],
         default_factory=tuple,
     )
@@ -97,5 +97,5 @@ def check_stamps(spec: TimeStampsSpec, log: Findings) -> None:
         load_pem_x509_certificates(spec.certificate.encode())
     except ValueError:
         message = "this is not a certificate in PEM"
-        hint = "copy the whole certificate, with its first and last line, as a block that begins with `|`"
+        hint = "copy the whole certificate, including its first and last lines, as a block that begins with `|`"
         log.error("bench-stamp-certificate", spec.at("certificate"), message, hint)

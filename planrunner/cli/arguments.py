@@ -145,7 +145,7 @@ def add_index(parser: argparse.ArgumentParser) -> None:
         "--rebuild", action="store_true", help="read all runs again, not only those that are new or changed"
     )
     parser.add_argument("--no-refresh", action="store_true", help="use the index as it is")
-    add_workers(parser, "processes that read the runs (default: one for each processor)")
+    add_workers(parser, "number of processes that read the runs (default: one for each processor)")
     parser.add_argument("--quiet", action="store_true", help="show no progress")
 
 

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_parameter(parser)
     add_workers(
         parser,
-        "processes that share several plans (default: as many as make the check faster, at most one per "
+        "number of processes for several plans (default: as many as speed up the check, at most one per "
         "processor; 1 with --data)",
     )
     add_suite_arguments(parser)

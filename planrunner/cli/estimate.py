@@ -32,7 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "to the stored number; nothing is written",
     )
     parser.add_argument("--analysis", type=int, metavar="N", help="with --prove: number of the analysis")
-    add_workers(parser, "processes that share the runs, or the Monte Carlo draws of a single run (default: 1)")
+    add_workers(
+        parser, "number of processes for several runs, or for the Monte Carlo draws of a single run (default: 1)"
+    )
     parser.add_argument("--json", action="store_true", help="print a list of results as JSON, one entry per run")
 
 

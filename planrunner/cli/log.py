@@ -103,7 +103,7 @@ def _append(args: argparse.Namespace) -> int:
         head = append_run(log, run)
         heads.append({"run": str(run), "head": None if head is None else head.to_json()})
         if not args.json:
-            print_line(f"{run}: {'in the log already' if head is None else f'entry {head.size}'}")
+            print_line(f"{run}: {'already in the log' if head is None else f'entry {head.size}'}")
     if args.json:
         print_json(heads)
     return exit_codes.DONE

@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--quiet", action="store_true", help="do not print a line for each test")
     parser.add_argument("--json", action="store_true", help="print the record of the night as JSON")
-    add_workers(parser, "processes that share the checks of the plans (default: as many as make the checks faster)")
+    add_workers(parser, "number of processes that check the plans (default: as many as speed up the checks)")
     add_at(parser)
 
 

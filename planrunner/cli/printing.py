@@ -194,7 +194,9 @@ def write_new(path: Path, text: bytes) -> None:
 
 def _unwritable(path: Path, error: OSError) -> InputError:
     message = f"the file cannot be written: {error.strerror or error}"
-    return InputError.at(Mark(str(path)), "file-unwritable", message, "make room, or choose a file in another folder")
+    return InputError.at(
+        Mark(str(path)), "file-unwritable", message, "free disk space, or choose a file in another folder"
+    )
 
 
 def print_json(value: Json) -> None:

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the site: a new one, or a site to replace")
     parser.add_argument("--index", metavar="INDEX", help="file or URL of the index (default: a file of this user)")
     parser.add_argument("--no-refresh", action="store_true", help="use the index as it is, without reading new runs")
-    add_workers(parser, "processes that read the runs (default: one for each processor)")
+    add_workers(parser, "number of processes that read the runs (default: one for each processor)")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 

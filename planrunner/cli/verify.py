@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="with --authority: list of revoked certificates (PEM or DER) that stamps are verified with",
     )
-    add_workers(parser, "processes that share the runs (default: 1)")
+    add_workers(parser, "number of processes for several runs (default: 1)")
     parser.add_argument("--json", action="store_true", help="print a list of verifications as JSON, one entry per run")
 
 

@@ -115,7 +115,7 @@ def same_order(planned: RotationCycle, cable: Cable = Cable(), workers: Workers 
         if _centred(best):
             break
     if not rounds:
-        raise CycleError(f"{len(choices)} moves can be turned in too many ways to try them all")
+        raise CycleError(f"{len(choices)} moves allow too many combinations of turns to try them all")
     return FoundCycle(best, tuple(rounds))
 
 

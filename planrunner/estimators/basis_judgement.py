@@ -92,7 +92,7 @@ def few_samples(request: DesignRequest[object]) -> tuple[Remark, ...]:
     if not short:
         return ()
     count, label = min(short, key=lambda one: one[0])
-    others = f" (and {count_of(len(short) - 1, 'more segment')} as short)" if len(short) > 1 else ""
+    others = f" (and {count_of(len(short) - 1, 'more segment')} with too few samples)" if len(short) > 1 else ""
     message = (
         f"'{label}' holds {count_of(count, 'sample')}{others}: the noise within a segment is estimated "
         "from the scatter of "

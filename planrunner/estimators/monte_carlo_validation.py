@@ -141,8 +141,8 @@ def _words(
     if not stabilised:
         notes.append(
             said(
-                "At the largest requested number of draws, the results had not stabilised to a fifth of the "
-                "tolerance δ."
+                "At the largest requested number of draws, the results had not stabilised to within a fifth of "
+                "the tolerance δ."
             )
         )
     if first_order:

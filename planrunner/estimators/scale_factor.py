@@ -71,7 +71,7 @@ class ScaleFactorParameters(Record):
     )
     weights: str = key(
         Choice(("noise", "equal")),
-        "Weights of the rates. `noise`: the noise of its segment determines the weight of a rate, so an unsteady rate has less weight; "
+        "Weights of the rates. `noise`: each rate is weighted by the noise of its segment, so an unsteady rate has less weight; "
         "`equal`: all rates have the same weight, as in ordinary least squares.",
         "noise",
         default="noise",

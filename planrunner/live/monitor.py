@@ -228,7 +228,7 @@ class Monitor:
             raise self._refused(run, f"give a name of 1 to {LONGEST_NAME} printable characters with the answer")
         state = read_live(folder)
         if state is None or state.question is None or state.question.id != question:
-            raise self._refused(run, "the run does not show this prompt any more")
+            raise self._refused(run, "this prompt is no longer open")
         try:
             write_answer(folder, Answer(question, name))
         except OSError as error:

@@ -316,4 +316,6 @@ def _write(out: Path, data: str, texts: dict[str, bytes], entry: bytes) -> None:
                 folder.remove_folder(name)
     except OSError as error:
         message = f"the site cannot be written: {error.strerror or error}"
-        raise InputError.at(Mark(str(out)), "site-unwritable", message, "make room, or choose another folder") from None
+        raise InputError.at(
+            Mark(str(out)), "site-unwritable", message, "free disk space, or choose another folder"
+        ) from None

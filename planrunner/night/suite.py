@@ -67,7 +67,7 @@ class StandardOverride(Record):
 
     by: str = key(
         Text(PERSON, "a person's name"),
-        "The person who decides that the tests run: a name in `may_override` of the bench file.",
+        "The person who decides that the tests may run: a name in `may_override` of the bench file.",
         "anna",
     )
     why: str = key(
@@ -83,8 +83,8 @@ class SuiteBench(Record):
     bench: str = key(Text(_PATH, "a bench's name or file"), "The name of a shipped bench, or a file.", "virtual")
     warm_up: Quantity | None = optional(
         QuantityOf("time", "positive"),
-        "Waiting time before the first test on this bench, for example until a chamber or a sensor has its working temperature. All "
-        "following tests share it.",
+        "Waiting time before the first test on this bench, for example until a chamber or a sensor has its working temperature. Later "
+        "tests on this bench do not wait again.",
         "45 min",
     )
     stays_warm: Quantity | None = optional(
@@ -317,7 +317,7 @@ class Suite(Record):
         fallback="",
     )
     description: str = key(
-        Text(), "What the night is for, for reviewers.", "Drift of all gyros on both benches.", default=""
+        Text(), "Purpose of the night, for reviewers.", "Drift of all gyros on both benches.", default=""
     )
     zone: str | None = optional(
         Text(r"[A-Za-z0-9_+/-]{1,60}", "a time zone"),

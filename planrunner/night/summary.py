@@ -31,7 +31,7 @@ def headline(night: JsonObject) -> str:
 def summary(night: JsonObject) -> str:
     """Returns the summary of the night as Markdown. Tests that did not pass come first."""
     lines = [f"# {_cell(headline(night))}", ""]
-    lines += [f"- Begin: {night['begins']}", f"- End: {night['ends'] or '–'} (foreseen {night['foreseen_end']})"]
+    lines += [f"- Begin: {night['begins']}", f"- End: {night['ends'] or '–'} (predicted {night['foreseen_end']})"]
     lines += [
         f"- Suite: `{_cell(night['suite'])}`",
         f"- Time: {'simulated' if night['clock'] == 'virtual' else 'real'}",

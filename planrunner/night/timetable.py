@@ -399,7 +399,7 @@ class NightCourse:
         if closes <= now:
             return f"it does not fit: the time for bench {test.bench} ended at {shown_time(closes, self.zone)}"
         return (
-            f"it does not fit: it takes {spell_out(duration)}, and bench {test.bench} has time until "
+            f"it does not fit: it takes {spell_out(duration)}, and bench {test.bench} is available only until "
             f"{shown_time(closes, self.zone)}"
         )
 

@@ -49,7 +49,7 @@ def thermometer() -> str | None:
     """Makes the plan key that names the channel with the temperature of a segment."""
     channel: str | None = optional(
         CHANNEL,
-        "The sensor's own thermometer, for a drift with temperature; by default the only recorded channel that is a temperature.",
+        "The sensor's own thermometer, for a drift with temperature; by default the recorded temperature channel, if there is exactly one.",
         "sensor_temperature",
     )
     return channel

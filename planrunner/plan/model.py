@@ -288,7 +288,7 @@ class Plan(Record):
         fallback="",
     )
     description: str = key(
-        Text(), "What the test is for, for reviewers.", "Torquer currents at rest in eight positions.", default=""
+        Text(), "Purpose of the test, for reviewers.", "Torquer currents at rest in eight positions.", default=""
     )
     author: tuple[str, ...] = key(
         ListOf(Text(PERSON, "a name in the key ring"), single=True),

@@ -107,20 +107,22 @@ class _Reason:
 
 _AGAIN = "approve the plan again"
 _REASONS: dict[ApprovalStanding, _Reason] = {
-    "damaged": _Reason("approval-damaged", "take the file from a backup, or approve again"),
-    "unknown key": _Reason("approval-unknown-key", "let the keeper of the key ring add the key", "keys"),
+    "damaged": _Reason("approval-damaged", "restore the file from a backup, or approve the plan again"),
+    "unknown key": _Reason("approval-unknown-key", "ask the keeper of the key ring to add the key", "keys"),
     "revoked": _Reason("approval-key-revoked", "approve with another key", "keys"),
     "key dates": _Reason("approval-key-dates", "approve with a key that is valid", "keys"),
     "withdrawn": _Reason("approval-withdrawn", "find out why it was withdrawn, then approve the plan again"),
-    "future": _Reason("approval-future", "check the clocks of both computers"),
+    "future": _Reason(
+        "approval-future", "check the clock of this computer, and that of the computer on which the plan was approved"
+    ),
     "expired": _Reason("approval-expired", _AGAIN),
     "another plan": _Reason("approval-other-plan", _AGAIN),
     "another bench": _Reason("approval-other-bench", "approve the plan for this bench"),
     "another author": _Reason("approval-other-author", _AGAIN),
-    "not named": _Reason("approval-not-named", "let a person whom the bench names approve the plan", "by"),
-    "role": _Reason("approval-role", "let a person with this role approve", "roles"),
-    "author": _Reason("approval-by-author", "let another person approve", "author_may_approve"),
-    "same person": _Reason("approval-same-person", "let another person approve", "required"),
+    "not named": _Reason("approval-not-named", "ask a person whom the bench names to approve the plan", "by"),
+    "role": _Reason("approval-role", "ask a person with this role to approve the plan", "roles"),
+    "author": _Reason("approval-by-author", "ask another person to approve the plan", "author_may_approve"),
+    "same person": _Reason("approval-same-person", "ask another person to approve the plan", "required"),
 }
 
 
@@ -264,7 +266,12 @@ def still_approved(
     _require_authors(rule, plan, ring, log)
     if not met:
         _tell(
-            found, bench, rule, "PLAN", log, remedy="let reviewers approve the plan again, then add `--approvals PLAN`"
+            found,
+            bench,
+            rule,
+            "PLAN",
+            log,
+            remedy="ask reviewers to approve the plan again, then add `--approvals PLAN`",
         )
     if log.errors:
         raise InputError(log)
@@ -408,7 +415,8 @@ def _author(found: Examined, kept: KeptApprovals, bench: Bench) -> tuple[str, ..
     made = str(found.run["versions"]["planrunner"])
     if other and made != __version__:
         _unverified(
-            found, f"{' and '.join(other)} ran with planrunner {made}, which writes canonical meanings in another form"
+            found,
+            f"{' and '.join(other)} ran with planrunner {made}, which writes canonical meanings in a different form",
         )
     elif other:
         message = f"{path / APPROVALS}: the approved meaning is not that of {' and '.join(other)}"

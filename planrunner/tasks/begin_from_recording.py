@@ -24,7 +24,7 @@ _DOUBTS = {
     "name": "",
     "motion": " # the unit was determined from the turns that the accelerometers show",
     "size": " # the unit is a guess",
-    "counts": " # raw counts: put in the sensitivity",
+    "counts": " # raw counts: enter the sensitivity",
     "increments": " # increments: per_unit is the sample period in s",
 }
 _NOISE = {"degC": ("K", 1.0), "degF": ("K", 5 / 9)}
@@ -68,7 +68,7 @@ def bench_of(look: Look, name: str) -> str:
         f"name: {name}",
         f"description: Plays back {_quoted(look.file)}. Everything here was guessed from names and numbers; check it.",
         "clock: virtual",
-        "# The place is not in the file. Put in the latitude and the gravity of the laboratory.",
+        "# The place is not in the file. Enter the latitude and the gravity of the laboratory.",
         "site: {latitude: 45 deg, gravity: 9.80665 m/s^2}",
         "instruments:",
         "  imu:",
@@ -103,7 +103,7 @@ def bench_of(look: Look, name: str) -> str:
         lines.append("    # such as allan_deviation, needs segments that do not contain this change.")
     count, shortest = look.pauses
     if count and not look.backwards:
-        steps = f"The time steps by {shortest:.3g} s and more in {count_of(count, 'place')}"
+        steps = f"The time jumps by {shortest:.3g} s or more in {count_of(count, 'place')}"
         if look.bursts:
             lines += [f"    # {steps}: each piece is a segment.", f"    pauses: {shortest / 2:.3g} s"]
         else:
@@ -129,7 +129,7 @@ def bench_of(look: Look, name: str) -> str:
         ]
     if look.sparse:
         lines.append(f"    # Columns with a number in few rows, from a slower instrument: {', '.join(look.sparse)}.")
-        lines.append("    # As a channel, such a column would remove all other rows.")
+        lines.append("    # If such a column were a channel, all rows without a number in it would be left out.")
     lines += [f"    # Not read: {reason}" for reason in look.unread[:MOST_CONTENTS]]
     if look.other:
         lines.append(f"    # Other columns of numbers: {', '.join(look.other[:40])}")

@@ -468,9 +468,11 @@ def _name_outliers(recorded: Recorded, found: Diagnosis, log: Findings) -> None:
     row, index = np.unravel_index(int(np.argmax(sizes / weighing.white)), sizes.shape)
     channel, label = observed.channels[index], observed.labels[observed.owner[row]]
     size = f"{sizes[row, index] / channel.factor:.3g} {channel.unit}"
+    outliers = int(np.count_nonzero(sizes))
+    was, largest = ("were", "the largest error is") if outliers > 1 else ("was", "its error is")
     message = (
-        f"errors of single samples within the scatter of the samples were left out of the diagnosis: {np.count_nonzero(sizes)} in all, "
-        f"the largest {size} of {channel.name} in '{label}' at {observed.time[row]:.6g} s after power-on"
+        f"{count_of(outliers, 'single sample')} with an error smaller than the scatter of the samples {was} left out of the diagnosis; "
+        f"{largest} {size}, in {channel.name} in '{label}' at {observed.time[row]:.6g} s after power-on"
     )
     log.warning("gap-left-out", Mark(recorded.where), message, _EXAMINE)
 

@@ -470,7 +470,9 @@ def _labelled(run: Path, opened: _Opened, stated: Mapping[Source, str], several:
     device = stated.get(Source.DEVICE) or device_of(info)
     if not device:
         hint = f"state the device in a table for --origins, with the columns {', '.join(_COLUMNS)}"
-        message = f"run.json does not say which device was measured: it has no {' and no '.join(map(repr, DEVICE))}"
+        message = (
+            f"run.json does not say which device was measured: it contains neither {' nor '.join(map(repr, DEVICE))}"
+        )
         return tuple(InputError.at(Mark(str(run)), "fleet-no-device", message, hint).findings)
     labels = {
         Source.DEVICE: device,

@@ -259,7 +259,7 @@ def _created(nights: GuardedFolder, digest: str, sound: SoundSuite, options: Nig
             Mark(str(nights.path / name)),
             "night-unwritable",
             message,
-            "make room, or choose another folder with --runs",
+            "free disk space, or choose another folder with --runs",
         ) from None
     record = NightRecord(sound.zone)
     record.take({"event": "created", **created})

@@ -105,7 +105,7 @@ def missing_log(
     found = LogVerification(archive / FOLDER)
     if remembered:
         message = f"the archive has no log, but {next(iter(remembered))} is a tree head of its log"
-        found.error("log-cut", message, "take the log from a backup")
+        found.error("log-cut", message, "restore the log from a backup")
         return found
     made = sum(run.told is not None for run in runs)
     if not made:
@@ -155,7 +155,7 @@ def _check_head(found: LogVerification, content: LogContent, name: str, one: Rem
         hint = "give the key ring with --keys"
         found.warning("log-key-unknown", f"{name}: NOT VERIFIED: the key {one.key} is not in a key ring", hint)
     for code, fault in head_faults(content, one.head, name):
-        found.error(code, fault, "take the log from a backup")
+        found.error(code, fault, "restore the log from a backup")
 
 
 # -- runs ------------------------------------------------------------------------------------------------------------------
@@ -236,7 +236,7 @@ def _compare(found: LogVerification, content: LogContent, runs: Sequence[LoggedR
         fault = _contradiction(history, run)
         _check_memory(found, content, run, history)
         if fault:
-            hint = "take the run from a backup"
+            hint = "restore the run from a backup"
             found.error("log-run-replaced", f"{run.path}: this is not the run in the log: {fault}", hint)
         elif run.seal_digest is not None and run.seal_digest not in history.seals:
             hint = (
@@ -252,7 +252,7 @@ def _compare(found: LogVerification, content: LogContent, runs: Sequence[LoggedR
         else:
             what = "sealed" if history.seals else "begun"
             message = f"{name}: this run was {what} according to the log, but it is not in the archive"
-            hint = "take the run from a backup; if it was moved on purpose, record this with `planrunner log retire`"
+            hint = "restore the run from a backup; if it was moved on purpose, record this with `planrunner log retire`"
             found.error("log-run-removed", message, hint)
 
 
@@ -263,10 +263,10 @@ def _check_memory(found: LogVerification, content: LogContent, run: LoggedRun, h
     told, path = run.told, run.path
     if told["origin"] == content.origin:
         for code, fault in head_faults(content, TreeHead.from_json({**told, "at": ""}), f"the tree head in {path}"):
-            found.error(code, fault, "take the log from a backup")
+            found.error(code, fault, "restore the log from a backup")
     elif history.begun:
         message = f"{path}: the entries of this log name it as begun, but it was begun with another log"
-        found.error("log-changed", message, "take the log from a backup")
+        found.error("log-changed", message, "restore the log from a backup")
     else:
         message = f"{path}: it was made with another log, of {told['size']} entries, and was added to this log later"
         found.warning("log-elsewhere", message, "verify the archive in which it was made")

@@ -47,7 +47,7 @@ def sign(run: Path, signer: Signer, meaning: PersonMeaning, name: str, comment: 
             file = sign_run(folder, found.run["run"], signer, result, meaning, name, comment)
         except OSError as error:
             message = f"the signature cannot be written: {error.strerror or error}"
-            raise InputError.at(Mark(str(run)), "run-unwritable", message, "make room") from None
+            raise InputError.at(Mark(str(run)), "run-unwritable", message, "free disk space") from None
     return next(one for one in signatures_of(folder) if one.file == file)
 
 
@@ -88,7 +88,7 @@ def sign_later(run: Path, signer: Signer | None = None) -> tuple[RunSignature, .
             raise InputError.at(mark, "sign-bench-key", str(error), "give the key with --by or --agent") from None
         except OSError as error:
             message = f"the signature cannot be written: {error.strerror or error}"
-            raise InputError.at(mark, "run-unwritable", message, "make room") from None
+            raise InputError.at(mark, "run-unwritable", message, "free disk space") from None
     return tuple(one for one in signatures_of(folder) if one.file not in before)
 
 

@@ -94,7 +94,7 @@ def stamp_run(run: Path, url: str | None = None) -> str:
         raise InputError.at(mark, "stamp-failed", str(error), "try again later; the run is not affected") from None
     except OSError as error:
         message = f"the stamp cannot be written: {error.strerror or error}"
-        raise InputError.at(mark, "run-unwritable", message, "make room") from None
+        raise InputError.at(mark, "run-unwritable", message, "free disk space") from None
     finally:
         lock.release()
 

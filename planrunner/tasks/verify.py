@@ -119,7 +119,7 @@ def verify_evaluations(found: Examined, ring: KeyRing | None) -> tuple[Evaluatio
             found.error("run-approval", one.fault, hint="")
         elif not one.covered:
             message = f"the evaluation of analysis {one.analysis} is {one.words}"
-            hint = "let reviewers approve the plan of the amendment, and amend the run again"
+            hint = "ask reviewers to approve the plan of the amendment, and amend the run again"
             found.findings.warning("run-evaluation-unapproved", Mark(str(found.folder.path)), message, hint)
     return evaluations
 

@@ -88,7 +88,7 @@ def test_labels_that_older_sweeps_spelt_with_other_signs(run: Path, planned: str
     if reads:
         assert [item.label for item in RunReader.open(run).recording(schedule)] == [planned, "P2"]
     else:
-        with pytest.raises(IntegrityError, match="which the plan does not have there"):
+        with pytest.raises(IntegrityError, match="but the plan has no such segment at this place"):
             RunReader.open(run).recording(schedule)
 
 

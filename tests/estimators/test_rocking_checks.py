@@ -76,7 +76,7 @@ def also(key: str) -> list[tuple[str, str]]:
         ("axes", WARNING, [HORIZONTAL, LIMIT_Y], "y is vertical in every state"),
         ("filter", WARNING, also("cutoff: 0.2 Hz"), "passes 50 % of the rocking at 0.2 Hz"),
         ("filter", ERROR, also("cutoff: 1e-12 Hz"), "averages over 1e+12 s, but the windows are only 536 s apart"),
-        ("encoders", ERROR, also("gimbal_axes: [x, x, x]"), "turn about one axis (x, x, x)"),
+        ("encoders", ERROR, also("gimbal_axes: [x, x, x]"), "turn about the same axis (x, x, x)"),
         ("encoders", ERROR, also("rings: [table_outer, table_middle]"), "`rings` names 2 channels, but the table has 3"),
         ("resolution", WARNING, also("smallest_drift: 0.0004 deg/h"), "takes 615 s, but the time between the windows is 538 s"),
     ],

@@ -121,7 +121,7 @@ def test_a_unit_that_is_not_at_rest() -> None:
     data = samples(300, noise=1e-3)
     data["reference_velocity_east"] = np.full(3000, 2.0)
     refused(
-        "the carrier moves with up to 2 m/s",
+        "the carrier moves at up to 2 m/s",
         recorded("align", data, 0.0, more_units={"reference_velocity_east": "m/s"}),
         run(),
     )

@@ -116,7 +116,7 @@ def test_what_does_not_fit_is_left_out_with_the_reason_and_shorter_tests_go_on()
     times, left, found = night(suite, {"one": 1.0, "long": 2.5, "short": 1.0, "after_long": 0.1})
     assert times == {"one/a": (0, 1), "short/a": (1, 2)}
     assert left == {
-        "long/a": "it does not fit: it takes 2 h 30 min, and bench a has time until 2026-01-12 23:00 UTC",
+        "long/a": "it does not fit: it takes 2 h 30 min, and bench a is available only until 2026-01-12 23:00 UTC",
         "after_long/a": "it needs long/a, which did not run",
     }
     assert (found.ends - T0) / HOUR == 2

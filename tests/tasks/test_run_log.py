@@ -241,7 +241,7 @@ def test_runs_from_elsewhere_are_added_with_the_present_date(archive: Path, caps
     (added,) = set(runs(archive)) - {path for path in runs(archive) if verify_run(path).found.run.get("log")}
     assert main(["log", "append", str(added)]) == 0
     assert main(["log", "append", str(added)]) == 0
-    assert "in the log already" in capsys.readouterr().out
+    assert "already in the log" in capsys.readouterr().out
     assert found(archive) == set()
     rewrite(added, lambda events: events[4].update(clock=5.5))
     shutil.rmtree(added / "analyses")

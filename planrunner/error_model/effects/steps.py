@@ -25,7 +25,7 @@ k is the third axis."""
 
 def _about(triad: str) -> About:
     return About(
-        f"{triad} bias makes a step",
+        f"{triad} bias changes abruptly",
         f"At one moment the bias of the {triad}s changes to another value, as after a shock.",
         Actor.SENSOR,
         "Look for a shock or a change of mode at this time, and evaluate the segments before and after it separately: {found}.",

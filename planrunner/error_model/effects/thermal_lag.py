@@ -21,7 +21,8 @@ _SETTLED = 3.0  # smallest gap between two segments, in time constants of the as
 def _about(triad: str) -> About:
     return About(
         f"{triad} bias follows the temperature with a delay",
-        f"The sensing elements of the {triad}s reach a new temperature later than the thermometer, so that their bias lags behind it.",
+        f"The sensing elements of the {triad}s reach a new temperature later than the thermometer, so "
+        "their bias lags behind the temperature.",
         Actor.PLAN,
         "Soak several times longer than the lag, or compensate with the delayed temperature: {found}.",
     )

@@ -24,7 +24,7 @@ class GyroVibrationRectification:
         "gyro bias shifts under vibration",
         "Oscillation of the table shifts the mean output of the gyros in proportion to the mean square of its angular rate.",
         Actor.SENSOR,
-        "Isolate the gyros from the oscillation, or compensate the output with its mean square: {found}.",
+        "Isolate the gyros from the oscillation, or subtract the shift predicted from the mean square of the angular rate: {found}.",
     )
     shown_by = _SHOWN_BY
 
@@ -49,7 +49,7 @@ class AccelVibrationRectification:
         "accelerometer bias shifts under vibration",
         "Vibration of the table shifts the mean output of the accelerometers in proportion to its mean square acceleration.",
         Actor.SENSOR,
-        "Isolate the accelerometers from the vibration, or compensate the output with its mean square: {found}.",
+        "Isolate the accelerometers from the vibration, or subtract the shift predicted from the mean square acceleration: {found}.",
     )
     shown_by, explains_turning = _SHOWN_BY, True
 

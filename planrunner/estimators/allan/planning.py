@@ -56,7 +56,7 @@ def averaging_factors(taus: Sequence[Quantity], lengths: Integers, interval: flo
     if not usable.size:
         longest = (int(lengths.max()) - 1) * interval
         raise EstimationError(
-            f"'{name}': every averaging time in `taus` needs a longer stretch without a gap than the {longest:.4g} s of the plan"
+            f"'{name}': every averaging time in `taus` needs a stretch without gaps that is longer than the {longest:.4g} s of the plan"
         )
     return usable
 

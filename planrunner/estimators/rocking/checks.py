@@ -90,7 +90,7 @@ def _encoders(request: DesignRequest[RockingDriftParameters]) -> list[Remark]:
     parameters = request.parameters
     found = []
     if any(outer == inner for outer, inner in pairwise(parameters.gimbal_axes)):
-        message = f"two adjacent gimbals turn about one axis ({', '.join(parameters.gimbal_axes)}): they cannot stabilise the element"
+        message = f"two adjacent gimbals turn about the same axis ({', '.join(parameters.gimbal_axes)}): they cannot stabilise the element"
         hint = "name the three axes, outermost first, such as [x, y, z]"
         found.append(Remark("physics-rocking-encoders", message, hint, "gimbal_axes", error=True))
     table = request.setup.table

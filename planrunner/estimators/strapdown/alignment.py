@@ -271,7 +271,7 @@ def _check_stop(recorded: RecordedSegment, seconds: float, still: float, site: S
         )
     speed = reference_speed(recorded)
     if speed > STILL:
-        raise EstimationError(f"segment '{label}': the carrier moves with up to {speed:.3g} m/s: align during a stop")
+        raise EstimationError(f"segment '{label}': the carrier moves at up to {speed:.3g} m/s: align during a stop")
 
 
 def _rate_error(mean: Array, site: Site) -> float:

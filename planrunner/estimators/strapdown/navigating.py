@@ -106,7 +106,8 @@ class StrapdownNavigationParameters(Record):
     )
     gravity: str = key(
         Choice(("site", "wgs84")),
-        "Gravity: `site` is the value at the site, which changes with latitude and height like normal gravity; `wgs84` is normal gravity.",
+        "Gravity. `site`: the gravity declared for the site, scaled with latitude and height in the same way as "
+        "normal gravity; `wgs84`: normal gravity.",
         "wgs84",
         default="site",
     )

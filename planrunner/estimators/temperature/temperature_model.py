@@ -603,9 +603,9 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
         if fit.fullest is not None:
             found.append(
                 said(
-                    "{name}: the uncertainties allow for the choice of the order: they combine the uncertainties of order "
-                    "{order}, the highest tried, with the difference from that curve. If physics gives the order, state it "
-                    "in `order` for narrower intervals.",
+                    "{name}: the order was chosen from the data, and the uncertainties take this choice into account: they combine "
+                    "the uncertainties of the curve of order {order} (the highest order tried) with its difference from the "
+                    "chosen curve. If physics gives the order, state it in `order` for narrower intervals.",
                     name=name,
                     order=fit.fullest.curve.order,
                 )

@@ -380,7 +380,7 @@ def _check_missing(recording: Sequence[RecordedSegment], mark: Mark, log: Findin
     empty = [item.label for item in recording if item.statistics.count == 0]
     if empty:
         hint = "remove the segment from the plan and the recording, or record it again"
-        log.error("gap-missing-numbers", mark, f"{_named(empty)} without a complete row", hint)
+        log.error("gap-missing-numbers", mark, f"no complete row in {_named(empty)}", hint)
     elif rejected:
         where = f", most of them in {_named([item.label for item in poor])}" if poor else ""
         message = (
@@ -396,7 +396,7 @@ def _check_length(recording: Sequence[RecordedSegment], mark: Mark, log: Finding
         if item.truncated or (dwell is not None and lasted < PRESENT * dwell):
             short.append(item.label)
     if short:
-        message = f"{_named(short)} shorter than planned"
+        message = f"shorter than planned: {_named(short)}"
         log.warning("gap-short-segment", mark, message, "the recorded part is used")
 
 
@@ -426,10 +426,10 @@ def _check_clock(recording: Sequence[RecordedSegment], declared: float, mark: Ma
             f"the sample rate changes within {_named([name for name, _ in changes])}: from the declared {declared:g} Hz to about "
             f"{slowest:.3g} Hz in '{label}'"
         )
-        hint = "check the settings of the logger, or let the segments end where the rate changes"
+        hint = "check the settings of the logger, or end the segments where the rate changes"
         log.warning("gap-clock", mark, message, hint)
     if other:
-        message = f"{_named(other)} not sampled at the declared {declared:g} Hz"
+        message = f"not sampled at the declared {declared:g} Hz: {_named(other)}"
         log.warning("gap-clock", mark, message, "correct `sample_rate` in the bench file, or check the logger's clock")
 
 

@@ -29,7 +29,7 @@ def export_index(index: Index, target: Path) -> None:
     except OSError as error:
         message = f"the export cannot be written: {error.strerror or error}"
         raise InputError.at(
-            Mark(str(target)), "file-unwritable", message, "make room, or choose another place"
+            Mark(str(target)), "file-unwritable", message, "free disk space, or choose another place"
         ) from None
 
 
