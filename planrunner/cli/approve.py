@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-predictions", action="store_true", help="compare only the meaning with that of the last approved version"
     )
     parser.add_argument(
-        "--withdraw", action="store_true", help="withdraw all approvals of this plan that your key has given"
+        "--withdraw", action="store_true", help="withdraw all approvals of this plan that were signed with your key"
     )
     parser.add_argument("--list", action="store_true", help="list all approvals, and state for each whether it counts")
     parser.add_argument("--keys", metavar="RING", type=Path, help="with --list: use this key ring")

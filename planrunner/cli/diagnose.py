@@ -60,8 +60,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--origins",
         metavar="CSV",
         type=Path,
-        help="with several runs: table with the columns run, device, bench, occasion, where these differ from the run "
-        "folders",
+        help="with several runs: table with the columns run, device, bench, occasion; its entries replace those of the "
+        "run folders",
     )
     parser.add_argument(
         "--also",

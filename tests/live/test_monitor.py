@@ -108,10 +108,10 @@ def test_an_answer_needs_a_name(tmp_path: Path, by: str) -> None:
 
 def test_an_answer_must_fit_the_prompt_that_is_shown(tmp_path: Path) -> None:
     monitor, run = Monitor(tmp_path), RunningRun(tmp_path)
-    with pytest.raises(InputError, match="does not show this prompt"):
+    with pytest.raises(InputError, match="this prompt is no longer open"):
         monitor.answer(run.path.name, QUESTION.id, "Li Wei")
     run.show(question=QUESTION)
-    with pytest.raises(InputError, match="does not show this prompt"):
+    with pytest.raises(InputError, match="this prompt is no longer open"):
         monitor.answer(run.path.name, "f" * 16, "Li Wei")
 
 

@@ -317,7 +317,7 @@ def test_signed_heads(archive: Path, tmp_path: Path) -> None:
     remove_run(archive)
     entries(archive, lambda lines: lines.__delitem__(slice(5, None)))
     new_head(archive)
-    assert "its signed tree head counts 7 entries" in planrunner(*check, cwd=tmp_path).stdout
+    assert "its signed tree head records 7 entries" in planrunner(*check, cwd=tmp_path).stdout
 
 
 def test_the_json_of_the_log_matches_its_schema(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
