@@ -8,7 +8,8 @@ that rounding errors do not average out; and about a thermometer whose readings 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,8 +39,8 @@ from planrunner.estimators.results import Results, segment_statistics
 from planrunner.estimators.screened_estimate import estimated
 from planrunner.estimators.thermometer_counts import thermometer_count_words, thermometer_counts
 from planrunner.estimators.transients import transient_words
-from planrunner.instruments.models import NoiseModel, SensorModel
-from planrunner.observation.lattice import differ, undeclared_step
+from planrunner.instruments.models import NoiseModel, OutputModel, SensorModel
+from planrunner.observation.lattice import differ, undeclared_step, unevenness
 from planrunner.observation.screening import screened, varies
 from planrunner.physics.earth import Site
 from planrunner.plan.kinds import Record
@@ -286,7 +287,40 @@ def coarse_counts(
                     unit=output.unit,
                 )
             )
+        elif words := _uneven_counts(segments, output, noise.resolution):
+            found.append(words)
     return tuple(found)
+
+
+def _uneven_counts(segments: Sequence[RecordedSegment], output: OutputModel, count: float) -> Said | None:
+    """Returns a warning if some multiples of the count are much rarer than their neighbours, although the noise is larger than the
+    count, and if the rounding errors that follow are not negligible. The errors are at most unevenness·count/π, by the first term
+    of the Fourier series of a rounding error. They are the same in many segments, so they are compared with the standard error of
+    the mean over all segments."""
+    values, errors = [], []
+    for one, kept in _kept_values(segments, output.name):
+        values.append(kept)
+        errors.append(float(one.statistics.standard_error[one.statistics.of(output.name)]))
+    known = [error for error in errors if math.isfinite(error) and error > 0]
+    if not known:
+        return None
+    found = unevenness(values, count)
+    if found < _UNEVEN or found * count / math.pi < float(np.median(known)) / math.sqrt(len(known)):
+        return None
+    return said(
+        "{output}: all samples are multiples of {count:.4g} {unit}, but some multiples are much rarer than their neighbours. The "
+        "output was probably rounded to other counts before, in the sensor or in the recording program. The rounding errors do not "
+        "average out, and no scatter shows them: the mean of a segment may be wrong by up to {half:.2g} {unit} (half a count). The "
+        "uncertainties may be too small. Use a recording that was rounded only once.",
+        output=output.name,
+        count=count,
+        unit=output.unit,
+        half=count / 2,
+    )
+
+
+_UNEVEN = 0.3
+"""Unevenness from which a warning is given. The rounding errors are then about 10 % of a count."""
 
 
 def _coarse(recorded: RecordedSegment, channel: str, noise: NoiseModel) -> bool:
@@ -345,21 +379,28 @@ def _observed_counts(segments: Sequence[RecordedSegment], channels: Sequence[str
     samples of each segment. Channels whose samples are not multiples of a count are left out. Samples that screening excluded are
     not used. Only segments at rest or at a constant rate are used, because their samples repeat. A segment in which a channel keeps
     one value shows no count."""
-    steady = [one for one in segments if isinstance(one.segment.motion, Rest | Spin) and not one.expected]
     counts: dict[str, float] = {}
     for name in channels:
         taken: list[Array] = []
         repeated = samples = 0.0
-        for one in steady:
-            if name not in one.repeats or not _changes(one, name):
-                continue
-            shown, place = one.repeats[name], one.statistics.of(name)
-            good = (shown.values >= one.statistics.minimum[place]) & (shown.values <= one.statistics.maximum[place])
-            taken.append(shown.values[good])  # perhaps none
-            repeated, samples = repeated + shown.share * one.statistics.count, samples + one.statistics.count
+        for one, kept in _kept_values(segments, name):
+            taken.append(kept)  # perhaps none
+            repeated += one.repeats[name].share * one.statistics.count
+            samples += one.statistics.count
         if samples:
             counts[name] = undeclared_step(np.concatenate(taken), _FEWEST, repeated / samples)
     return counts
+
+
+def _kept_values(segments: Sequence[RecordedSegment], channel: str) -> Iterator[tuple[RecordedSegment, Array]]:
+    """Returns each segment at rest or at a constant rate in which a channel changes, with the values that the screening has kept.
+    Samples that the screening excluded are not used."""
+    for one in segments:
+        steady = isinstance(one.segment.motion, Rest | Spin) and not one.expected
+        if not steady or channel not in one.repeats or not _changes(one, channel):
+            continue
+        values, place = one.repeats[channel].values, one.statistics.of(channel)
+        yield one, values[(values >= one.statistics.minimum[place]) & (values <= one.statistics.maximum[place])]
 
 
 _FEWEST = 2

@@ -3,6 +3,9 @@ values in units of the declared count, rounded to hundredths. The levels are col
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 from planrunner.base.arrays import Array
@@ -18,6 +21,12 @@ ROUNDING = 1e-12  # of a value: values that differ by less are equal except for 
 _OF_SPAN = 1e-9  # of the range of the values: the same, for values that are differences of larger numbers
 NEAR = 100  # most counts between neighbouring values that are compared with a lattice
 _PIECE = 4096  # values taken at once
+_MIDDLE = (0.8413, 0.1587)  # quantiles one standard deviation above and below the mean of a normal distribution
+_SMOOTH = 0.01  # largest amplitude that a normal distribution has at the frequencies that are examined
+_FASTEST = 0.5  # periods per count: the frequency at which every other count is preferred
+_SLOWEST = 0.25  # periods per count, from which the frequencies are examined
+_TRIED = 251  # frequencies
+_SEEN = 1e-6  # probability by chance, over all frequencies, below which the counts are uneven
 
 
 def levels_of(values: Array, step: float) -> Array:
@@ -92,3 +101,34 @@ def seen_levels(values: Array, step: float) -> Array:
         if settled(levels):
             break
     return levels
+
+
+def unevenness(groups: Sequence[Array], count: float) -> float:
+    """Returns how unevenly values occur at the multiples of a count, on a scale from 0 to 1; 0 if chance explains the difference.
+
+    Noise with a standard deviation of more than one count is spread smoothly over the counts. If the values were multiples of another count before, some
+    counts occur more often than their neighbours. The rounding errors then do not average out. The result is the largest amplitude
+    of the empirical characteristic function at 1/4 to 1/2 periods per count (B. Widrow and I. Kollár, Quantization Noise, 4). At
+    these frequencies, the amplitude of normal noise is small. `groups`: arrays of shape (n_g,), values at a constant input.
+    """
+    shown = [np.round((one - one[0]) / count) for one in groups if len(one) > 1]
+    samples = np.array([len(one) for one in shown])
+    if not len(shown):
+        return 0.0
+    middle = np.array([np.subtract(*np.quantile(one, _MIDDLE)) for one in shown]) / 2
+    sigma = math.sqrt(float(np.average(middle**2, weights=samples)))
+    slowest = max(_SLOWEST, math.sqrt(-2 * math.log(_SMOOTH)) / (2 * math.pi * max(sigma, 1e-9)))
+    if slowest > _FASTEST:
+        return 0.0
+    from scipy.special import chdtrc
+
+    frequencies = np.linspace(slowest, _FASTEST, _TRIED)
+    squares = np.zeros((len(shown), _TRIED))
+    for row, one in enumerate(shown):
+        levels, times = np.unique(one, return_counts=True)
+        waves = np.exp(2j * math.pi * np.outer(frequencies, levels)) @ times
+        squares[row] = np.abs(waves) ** 2 / len(one)  # of independent values: exponentially distributed, mean 1
+    total = squares.sum(axis=0)
+    if chdtrc(2 * len(shown), 2 * float(total.max())) * _TRIED > _SEEN:
+        return 0.0
+    return math.sqrt(min(max((float(total.max()) - len(shown)) / float(samples.sum() - len(shown)), 0.0), 1.0))

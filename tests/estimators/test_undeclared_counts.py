@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from recorded import from_samples, segment, sensor
+from recorded import from_samples, real, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.estimators.allan.allan_deviation import AllanDeviationParameters
 from planrunner.estimators.analysis import analyse
 from planrunner.estimators.interface import Estimate
+from planrunner.estimators.repeatability import RepeatabilityParameters
 from planrunner.estimators.scale_factor import ScaleFactorParameters
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel
@@ -50,7 +51,7 @@ def made(
 
 
 def coarse(found: Estimate) -> list[str]:
-    return [text for text in found.warnings if "counts of" in text or "all samples are equal" in text]
+    return [text for text in found.warnings if "counts of" in text or "multiples" in text or "all samples are equal" in text]
 
 
 def scale_factor(recording: list[RecordedSegment], noise: NoiseModel | None = None) -> Estimate:
@@ -178,3 +179,62 @@ def test_two_outputs_with_the_same_samples_are_named(copied: bool) -> None:
     results = analyse(spec, (), recording, SITE, sensor("gyro_y", "gyro_z"))
     said = [text for text in results.estimates["k"].warnings if "gyro_y and gyro_z have the same samples" in text]
     assert len(said) == copied
+
+
+def rounded_twice(seed: int, first: float, second: float, noise: float) -> list[RecordedSegment]:
+    """The table of `on_a_table`; the outputs are rounded to multiples of `first`, then cut off to multiples of `second`."""
+    recording = []
+    for one in on_a_table(seed, first, noise):
+        blocks = list(one.blocks(("gyro_z",)))
+        values = np.floor(np.concatenate([block.channels["gyro_z"] for block in blocks]) / second) * second
+        time = np.concatenate([block.time for block in blocks])
+        recording.append(from_samples(one.segment, time, {"gyro_z": values}, {"gyro_z": "pulse/s"}))
+    return recording
+
+
+@pytest.mark.parametrize(("first", "declared"), [(1.45, 0.0), (1.45, 1.0), (3.1, 1.0)])
+def test_an_output_that_is_rounded_twice_is_named(first: float, declared: float) -> None:
+    """The noise is 3.3 counts of 1 pulse/s, so one rounding would average out. Groups at multiples of `first` do not."""
+    [text] = coarse(scale_factor(rounded_twice(18, first, 1.0, 3.3), NoiseModel(resolution=declared)))
+    assert "multiples of 1 pulse/s, but some multiples are much rarer" in text
+    assert "up to 0.5 pulse/s" in text
+
+
+def test_rounding_twice_is_no_matter_if_the_error_is_far_below_the_noise() -> None:
+    assert not coarse(scale_factor(rounded_twice(19, 3.1e-3, 1e-3, 3.3)))
+
+
+@pytest.mark.parametrize("noise", [0.8, 1.5, 3.3, 20.0])
+def test_one_rounding_below_the_noise_is_even(noise: float) -> None:
+    for seed in range(20, 26):
+        assert not coarse(scale_factor(rounded_twice(seed, 0.0, 1.0, noise)))
+
+
+def test_a_real_recording_that_is_rounded_again_is_named() -> None:
+    """A ring-laser unit at rest, x up: its samples form groups about 0.015 m/s² apart. Cut off to 0.01 m/s², their mean is wrong by
+    0.0035 m/s² instead of the 0.005 m/s² of even samples. As recorded, no error of a count is of any size."""
+    table = np.fromfile(real("ln100", "x_LN100_up.ins"), "<f8").reshape(-1, 7)
+    time, values = table[:, 0] - table[0, 0], table[:, 4]
+
+    def said(shown: np.ndarray) -> list[str]:
+        recording = [
+            from_samples(
+                segment(f"R{k}", np.eye(3), None, 29.0),
+                time[(time >= 29 * k) & (time < 29 * k + 28.5)],
+                {"accel_x": shown[(time >= 29 * k) & (time < 29 * k + 28.5)]},
+                {"accel_x": "m/s^2"},
+            )
+            for k in range(10)
+        ]
+        spec = {
+            "k": EstimateSpec(
+                estimator="repeatability", segments=("R*",), parameters=RepeatabilityParameters(channels=("accel_x",))
+            )
+        }
+        return coarse(analyse(spec, (), recording, SITE, sensor("accel_x", unit="m/s^2")).estimates["k"])
+
+    cut = np.floor(values * 100) / 100
+    assert np.mean(cut - values) == pytest.approx(-0.0035, abs=1e-4)
+    [text] = said(cut)
+    assert "multiples of 0.01 m/s^2, but some multiples are much rarer" in text
+    assert not said(values)
