@@ -106,10 +106,11 @@ def seen_levels(values: Array, step: float) -> Array:
 def unevenness(groups: Sequence[Array], count: float) -> float:
     """Returns how unevenly values occur at the multiples of a count, on a scale from 0 to 1; 0 if chance explains the difference.
 
-    Noise with a standard deviation of more than one count is spread smoothly over the counts. If the values were multiples of another count before, some
-    counts occur more often than their neighbours. The rounding errors then do not average out. The result is the largest amplitude
-    of the empirical characteristic function at 1/4 to 1/2 periods per count (B. Widrow and I. Kollár, Quantization Noise, 4). At
-    these frequencies, the amplitude of normal noise is small. `groups`: arrays of shape (n_g,), values at a constant input.
+    Noise with a standard deviation of more than one count is spread smoothly over the counts. If the values were multiples of
+    another count before, some counts occur more often than their neighbours. The rounding errors then do not average out. The
+    result is the largest amplitude of the empirical characteristic function at 1/4 to 1/2 periods per count (B. Widrow and I.
+    Kollár, Quantization Noise, 4). At these frequencies, the amplitude of normal noise is small. `groups`: arrays of shape (n_g,),
+    values at a constant input.
     """
     shown = [np.round((one - one[0]) / count) for one in groups if len(one) > 1]
     samples = np.array([len(one) for one in shown])
