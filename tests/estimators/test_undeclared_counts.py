@@ -51,7 +51,9 @@ def made(
 
 
 def coarse(found: Estimate) -> list[str]:
-    return [text for text in found.warnings if "counts of" in text or "multiples" in text or "all samples are equal" in text]
+    return [
+        text for text in found.warnings if "counts of" in text or "multiples" in text or "all samples are equal" in text
+    ]
 
 
 def scale_factor(recording: list[RecordedSegment], noise: NoiseModel | None = None) -> Estimate:
