@@ -352,6 +352,7 @@ def corrected_observation(
     """Does the same as `observe`, but also returns the wrong declarations that were corrected. Raises `InputError` with all
     obstacles to a diagnosis."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
+    from planrunner.gap.evidence.segment_checks import check_segments
     from planrunner.gap.hypotheses.declarations import corrected, in_step
     from planrunner.observation.refusals import ObservationError
     from planrunner.observation.samples import observed, poses, unknown_orientations
@@ -408,6 +409,7 @@ def corrected_observation(
         for one in wrong:
             findings.warning("gap-declaration", Mark(recorded.where), *_warned(one))
         check_observed(seen, recorded.where, findings)
+        check_segments(seen, recorded.where, findings)
     except ObservationError as error:
         raise _unfit(recorded, error) from None
     if findings.errors:
