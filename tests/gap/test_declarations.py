@@ -220,3 +220,22 @@ def test_a_delay_of_a_recorded_motion_is_no_declaration() -> None:
     sound = to_and_fro()
     late = replace(sound, values=np.roll(sound.values, 8, axis=0))  # 0.4 s
     assert not _found(late)
+
+
+@pytest.mark.parametrize("small", [0.004, DEG])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_columns_are_exchanged_though_the_table_turns_about_one_axis_only(small: float, sign: float) -> None:
+    """A table about sensor z. The gyro across it shows a small part of the rate, which may resemble a factor between units."""
+    whole = record()
+    level = [k for k, frame in enumerate(whole.attitude) if np.allclose(frame, np.eye(3))]
+    observed = kept(whole, level)
+    assert observed.rate.any()
+
+    def change(values: Array) -> None:
+        values[:, 0] += small * values[:, 2]
+        values[:, [0, 2]] = values[:, [2, 0]] * [sign, 1.0]
+
+    found = _found(_values(observed, change))
+    assert found[0].effect == "axes_exchanged"
+    assert dict(found[0].parameters) == {"gyro_xz": 1.0} or dict(found[0].parameters) == {"gyro_zx": 1.0}
+    assert [one.effect for one in found[1:]] == ([] if sign > 0 else ["axis_reversed"])

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 from itertools import pairwise, permutations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.declared import rearranged, turned_back
@@ -192,17 +193,53 @@ def _fit(observed: Observed, parts: Sequence[slice]) -> _Fit:
         gains = (left[:, used].T @ means) / size[used][:, None]
         rest = means - stimulus @ seen.T @ gains
         misfit += float((rest**2).sum(axis=0) @ (1 / np.maximum((means**2).sum(axis=0), 1e-300)))
+        axes = [observed.channels[index].axis for index in channels]
+        follows = np.linalg.norm(rest, axis=0) <= FITS * np.linalg.norm(means, axis=0)
+        for place, other in _taken_for_each_other(gains, seen, axes, follows):
+            sign = float(np.sign(gains[:, other] @ seen[:, axes[place]]))
+            readings[channels[place]] = _Reading(axes[other], 1.0, 1.0)
+            readings[channels[other]] = _Reading(axes[place], sign, 1.0)
+            judged += 1
         for place, index in enumerate(channels):
-            own = seen[:, observed.channels[index].axis]
-            if np.linalg.norm(own) < SEEN or _stuck(observed, index):
+            own = seen[:, axes[place]]
+            if readings[index] is not None or np.linalg.norm(own) < SEEN or _stuck(observed, index):
                 continue
             judged += 1
-            if float(np.linalg.norm(rest[:, place])) > FITS * float(np.linalg.norm(means[:, place])):
+            if not follows[place]:
                 sound = False
                 continue
-            readings[index] = _reading(gains[:, place], seen, observed.channels[index].axis, kind)
+            readings[index] = _reading(gains[:, place], seen, axes[place], kind)
             sound &= readings[index] is not None
     return _Fit(tuple(readings), sound, misfit, judged)
+
+
+def _taken_for_each_other(
+    gains: Array, seen: Array, axes: Sequence[int], follows: NDArray[np.bool_]
+) -> list[tuple[int, int]]:
+    """Finds exchanged channels of which the plan varies the input of only one, for example the channel of a table's axis and a channel
+    across it. The channel of the varied axis hardly shows the input; exactly one channel of an axis that is not varied shows all
+    of it. Returns the places of the two channels of each such pair in `axes`.
+
+    `gains`: array of shape (r, K), gain of each channel along the directions. `seen`: array of shape (r, 3), the directions that the
+    plan varies. `axes`: declared axis of each of the K channels. `follows`: array of shape (K,), True for channels that follow the
+    plan."""
+    varied = [bool(np.linalg.norm(seen[:, axis]) >= SEEN) for axis in axes]
+    found = []
+    for place, axis in enumerate(axes):
+        direction = seen[:, axis]
+        if not varied[place] or float(np.linalg.norm(gains[:, place])) > NEAR * float(np.linalg.norm(direction)):
+            continue
+        size = float(np.linalg.norm(direction))
+        showing = [
+            other
+            for other in range(len(axes))
+            if not varied[other]
+            and follows[other]
+            and min(float(np.linalg.norm(gains[:, other] - sign * direction)) for sign in (1, -1)) <= NEAR * size
+        ]
+        if len(showing) == 1:
+            found.append((place, showing[0]))
+    return found
 
 
 def _stuck(observed: Observed, index: int) -> bool:
