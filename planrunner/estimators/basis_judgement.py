@@ -171,6 +171,7 @@ def judge(fit: OutputsFit, basis: str, channels: Sequence[str] = ()) -> Judgemen
             freedom=fit.freedom,
         )
         notes.append(FitNote(pooled if fit.pooled else apart))
+        notes += _too_small(fit)
         if fit.pooled and (different := unlike_outputs(fit)):
             warnings.append(different)
     else:
@@ -421,6 +422,24 @@ def _written(courses: Sequence[DriftCourse]) -> str:
     highest = max((course for course in courses if course.order), key=lambda one: one.order, default=None)
     words = [course.name for course in courses if course is highest or not course.order]
     return words[0] if len(words) == 1 else f"[{', '.join(words)}]"
+
+
+def _too_small(fit: OutputsFit) -> list[FitNote]:
+    """Returns notes about outputs whose residuals are significantly smaller than the noise within the segments."""
+    return [
+        FitNote(
+            said(
+                "{output}: the residuals are significantly smaller than the noise within the segments permits, so they are "
+                "small by chance. Therefore, this noise determines the uncertainties of this output, with {freedom:.4g} "
+                "degrees of freedom.",
+                output=output,
+                freedom=noise.degrees_of_freedom,
+            ),
+            output,
+        )
+        for output, noise, small in zip(fit.outputs, fit.noises, fit.by_noise, strict=True)
+        if small
+    ]
 
 
 def _exceeding(found: BasisComparison, basis: str) -> Said:

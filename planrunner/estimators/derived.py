@@ -135,7 +135,7 @@ def derived(
 def _draws(fit: OutputsFit, basis: str, influences: Sequence[Influence]) -> Draws:
     m, p = fit.coefficients.shape
     freedom = np.repeat(fit.degrees_of_freedom(np.eye(m * p)[::p], basis), p)
-    pooled = basis == "residual" and fit.pooled
+    pooled = basis == "residual" and fit.pooled and not fit.by_noise.any()
     groups = [0 if pooled else output for output in range(m) for _ in range(p)]
     scatter, inputs = t_draws(fit.covariance(basis), freedom, groups), influence_draws(influences, m * p)
     centre = fit.coefficients.reshape(-1, 1)

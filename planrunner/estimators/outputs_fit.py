@@ -8,7 +8,9 @@ two bases of uncertainty answer different questions:
     within_segment   V is used as it is. The noise has many degrees of freedom; the effects are added as influences. Unstated
                      changes from segment to segment (switch-on, an incomplete model) are not included.
     residual         Only the proportions of V are used. The scatter of the segments about the model gives one common factor. Unstated
-                     effects are included, but there are few degrees of freedom.
+                     effects are included, but there are few degrees of freedom. The noise observed within the segments is a lower
+                     bound of the scatter. If the residuals are significantly smaller than this noise, they are small by chance, and
+                     the noise determines the factor and its degrees of freedom.
 """
 
 from __future__ import annotations
@@ -34,6 +36,7 @@ from planrunner.plan.kinds import Choice, key
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 BASES = ("residual", "within_segment")
+_MANY = 1e9  # degrees of freedom that count as infinitely many
 _WIDEST = 1e9  # of the largest spread: upper limit of the search for a standard deviation between segments
 
 
@@ -119,7 +122,7 @@ class OutputsFit:
 
     def drift_freedom(self, output: int, basis: str) -> float:
         """Returns the degrees of freedom of the drift amplitudes of one output."""
-        if basis == "residual":
+        if basis == "residual" and not self.by_noise[output]:
             return self.pooled_freedom if self.pooled else float(self.freedom)
         return self.noises[output].degrees_of_freedom
 
@@ -134,9 +137,41 @@ class OutputsFit:
     @property
     def variance_factors(self) -> Array:
         """Returns the variance factor of each output, shape (m,): the residual variance divided by the variance that the weights
-        predict. If the outputs are pooled, all of them get the mean of these factors."""
+        predict. If the outputs are pooled, all of them get the mean of these factors. The factor of an output whose residuals are
+        too small (`by_noise`) is the share of the noise in the predicted variance."""
+        return np.where(self.by_noise, self._noise_shares, self._residual_factors)
+
+    @property
+    def by_noise(self) -> NDArray[np.bool_]:
+        """Returns True for each output whose residuals are significantly smaller than the noise within the segments (F-test with
+        the level `SIGNIFICANCE`), shape (m,). The variance of a mean is at least the variance that this noise causes, so such
+        residuals are small by chance. The noise then gives the uncertainties and the degrees of freedom of the output, also for the
+        basis `residual`."""
+        from scipy.special import fdtr
+
+        m = len(self.fits)
+        if not self.freedom or not all(noise.known for noise in self.noises):
+            return np.zeros(m, dtype=np.bool_)
+        noise = np.array([one.degrees_of_freedom for one in self.noises])
+        own = np.full(m, self.pooled_freedom if self.pooled else float(self.freedom))
+        ratios = self._residual_factors / self._noise_shares
+        if self.pooled:
+            noise, ratios = np.full(m, noise.sum()), np.full(m, ratios.min())
+        chances = fdtr(own, np.minimum(noise, _MANY), ratios)
+        return np.asarray((chances < SIGNIFICANCE) & ~np.any(self.between > 0))
+
+    @property
+    def _residual_factors(self) -> Array:
         factors = np.array([fit.variance_factor for fit in self.fits])
         return np.full_like(factors, factors.mean()) if self.pooled else factors
+
+    @property
+    def _noise_shares(self) -> Array:
+        """Returns, for each output, the largest share that the noise has in the variance of a coefficient, shape (m,). The effects
+        have the rest. Without effects, the share is 1."""
+        p = self.matrix.shape[1]
+        within, whole = (np.einsum("apap->ap", self.all_cofactors[basis])[:, :p] for basis in ("within_segment", "residual"))
+        return np.asarray(np.max(within / np.where(whole > 0, whole, np.inf), axis=1))
 
     def observed(self, output: int, basis: str) -> Array:
         """Returns the covariance of an output's observations for the given kind of uncertainty, shape (n, n), without the variance
@@ -210,9 +245,10 @@ class OutputsFit:
         degrees of freedom of all outputs together, or fewer if the residuals of the outputs are correlated.
         """
         m, p = self.coefficients.shape
-        if basis == "residual" and self.pooled:
+        by_noise = self.by_noise if basis == "residual" else np.ones(m, dtype=np.bool_)
+        if self.pooled and not by_noise.any():
             return np.full(len(gradients), self.pooled_freedom)
-        own = [float(self.freedom) if basis == "residual" else noise.degrees_of_freedom for noise in self.noises]
+        own = np.where(by_noise, [noise.degrees_of_freedom for noise in self.noises], float(self.freedom))
         g, whole = gradients.reshape(-1, m, p), self.covariance(basis).reshape(m, p, m, p)
         shares = np.einsum("qai,aiaj,qaj->qa", g, whole, g)
         total, squares = shares.sum(axis=1), (shares**2 / own).sum(axis=1)

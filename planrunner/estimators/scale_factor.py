@@ -313,7 +313,8 @@ def _metrics(
     factor = float(fit.variance_factors[k]) if basis == "residual" else 1.0
     worst = int(np.argmax(np.abs(one.residuals)))
     full_scale = float(np.abs(observations.mean[:, k]).max()) or (math.nan if observations.expected else 0.0)
-    freedom = float(fit.freedom) if basis == "residual" else fit.noises[k].degrees_of_freedom
+    by_residuals = basis == "residual" and not fit.by_noise[k]
+    freedom = float(fit.freedom) if by_residuals else fit.noises[k].degrees_of_freedom
     found = []
     if full_scale != 0 and fit.freedom:
         value = abs(float(one.residuals[worst])) / full_scale * 1e6
@@ -338,8 +339,8 @@ def _metrics(
             half = replace(half, chi_squared=float(half.degrees_of_freedom))
         slopes = half.coefficients[1:3]
         gradient = 1e6 * jacobian(lambda both: asymmetry(both[:1], both[1:]), slopes)[0]
-        left = half.variance_factor if basis == "residual" and half.degrees_of_freedom else factor
-        own = float(half.degrees_of_freedom or freedom) if basis == "residual" else freedom
+        left = half.variance_factor if by_residuals and half.degrees_of_freedom else factor
+        own = float(half.degrees_of_freedom or freedom) if by_residuals else freedom
         answers = gradient @ (half.cofactor @ np.linalg.solve(mixed, halves).T)[1:3]
         u = math.sqrt(max(0.0, float(answers @ observed @ answers) * left))
         value = 1e6 * float(asymmetry(*slopes))

@@ -72,7 +72,9 @@ def test_six_positions_by_hand() -> None:
     assert found["accel_misalignment_x_y"].value == pytest.approx(1000 * 0.02 / length, rel=1e-9)
     assert found["accel_misalignment_x_z"].value == pytest.approx(0, abs=1e-9)
     assert found["accel_scale_z"].value == pytest.approx(9.8 / imu.GRAVITY, rel=1e-9)
-    assert found["accel_bias_x"].degrees_of_freedom == 2
+    # The means fit exactly, so the noise within the six positions gives the uncertainty.
+    assert found["accel_bias_x"].degrees_of_freedom == 6 * 31
+    assert found["accel_bias_x"].standard_uncertainty == pytest.approx(1e-4 / math.sqrt(6) / 9.80665e-3, rel=1e-9)
     # Inverse of the matrix: true = (S·M)⁻¹·(measured − b), of the first position's x.
     inverse = np.array(found.extra["accel"]["inverse"])
     assert inverse @ np.array([9.8, 0, 0]) * 9.80665 == pytest.approx([imu.GRAVITY, 0, 0], rel=1e-9, abs=1e-9)
