@@ -170,7 +170,9 @@ class OutputsFit:
         """Returns, for each output, the largest share that the noise has in the variance of a coefficient, shape (m,). The effects
         have the rest. Without effects, the share is 1."""
         p = self.matrix.shape[1]
-        within, whole = (np.einsum("apap->ap", self.all_cofactors[basis])[:, :p] for basis in ("within_segment", "residual"))
+        within, whole = (
+            np.einsum("apap->ap", self.all_cofactors[basis])[:, :p] for basis in ("within_segment", "residual")
+        )
         return np.asarray(np.max(within / np.where(whole > 0, whole, np.inf), axis=1))
 
     def observed(self, output: int, basis: str) -> Array:
