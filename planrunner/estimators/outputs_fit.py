@@ -254,7 +254,7 @@ class OutputsFit:
         g, whole = gradients.reshape(-1, m, p), self.covariance(basis).reshape(m, p, m, p)
         shares = np.einsum("qai,aiaj,qaj->qa", g, whole, g)
         total, squares = shares.sum(axis=1), (shares**2 / own).sum(axis=1)
-        return np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), min(own))
+        return np.asarray(np.where(squares > 0, total**2 / np.where(squares > 0, squares, 1.0), own.min()))
 
 
 def coefficients_by_noise(matrix: Array, observations: Observations, magnitudes: Array, names: Sequence[str]) -> Array:
