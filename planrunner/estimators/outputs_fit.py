@@ -36,6 +36,7 @@ from planrunner.plan.kinds import Choice, key
 from planrunner.uncertainty.influences import Influence, InputQuantity
 
 BASES = ("residual", "within_segment")
+_ROUNDING = 1e-9  # of a ratio of variances
 _MANY = 1e9  # degrees of freedom that count as infinitely many
 _WIDEST = 1e9  # of the largest spread: upper limit of the search for a standard deviation between segments
 
@@ -147,8 +148,6 @@ class OutputsFit:
         the level `SIGNIFICANCE`), shape (m,). The variance of a mean is at least the variance that this noise causes, so such
         residuals are small by chance. The noise then gives the uncertainties and the degrees of freedom of the output, also for the
         basis `residual`."""
-        from scipy.special import fdtr
-
         m = len(self.fits)
         if not self.freedom or not all(noise.known for noise in self.noises):
             return np.zeros(m, dtype=np.bool_)
@@ -157,6 +156,10 @@ class OutputsFit:
         ratios = self._residual_factors / self._noise_shares
         if self.pooled:
             noise, ratios = np.full(m, noise.sum()), np.full(m, ratios.min())
+        if not np.any(ratios < 1 - _ROUNDING):  # predictions, too: `check` imports nothing heavy
+            return np.zeros(m, dtype=np.bool_)
+        from scipy.special import fdtr
+
         chances = fdtr(own, np.minimum(noise, _MANY), ratios)
         return np.asarray((chances < SIGNIFICANCE) & ~np.any(self.between > 0))
 
