@@ -114,12 +114,12 @@ class Answered:
     parameters: dict[str, tuple[float, float]]
 
 
-def answered(case: Case, seed: int, here: Path) -> Answered:
-    """The answer of planrunner to one case."""
+def answered(case: Case, seed: int, here: Path, effects: Sequence[str] | None = None) -> Answered:
+    """The answer of planrunner to one case. `effects`: the hypotheses; None for all."""
     from tests.blind.product import diagnosis_of
 
     folder.write_case(here, case, seed)
-    plain = diagnosis_of(folder.shown(here, case.name)).to_json()
+    plain = diagnosis_of(folder.shown(here, case.name), effects).to_json()
     said, (entry,) = plain["verdict"], case.label["entries"]
     named, members = tuple(said["effects"]), tuple(said["class"])
     options = set(members or ["+".join(named) or said["kind"]])

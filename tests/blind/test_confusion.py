@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +15,32 @@ from tests.blind.confusion import STRONGEST, WEAKEST, Answered, answered, answer
 SEED = 7
 
 
-def one_of(group: str, effect: str, number: int, energy: float | None = None) -> Answered:
+def one_of(
+    group: str, effect: str, number: int, energy: float | None = None, effects: Sequence[str] | None = None
+) -> Answered:
     with tempfile.TemporaryDirectory() as name:
         folder.write_setups(Path(name))
-        return answered(case_of(group, SEED, number, effect, energy), SEED, Path(name))
+        return answered(case_of(group, SEED, number, effect, energy), SEED, Path(name), effects)
+
+
+AMONG_ALL = pytest.param(None, marks=pytest.mark.slow, id="all")
+"""All effects are hypotheses, which takes long; the effects that are easily taken for each other are tested quickly."""
+OF_TIME = (
+    "gyro_bias_step",
+    "gyro_bias_random_walk",
+    "gyro_bias_gauss_markov",
+    "gyro_bias_drift",
+    "gyro_warm_up",
+    "mount_shift",
+)
+LATE = (
+    "gyro_bandwidth",
+    "time_latency",
+    "reference_latency",
+    "gyro_axis_delay",
+    "gyro_angular_acceleration",
+    "samples_dropped",
+)
 
 
 FURTHER = {
@@ -115,7 +138,7 @@ def test_stuck_samples_are_named_with_time_and_duration(number: int, lasting: fl
     assert abs(one.parameters["samples_stuck.lasting"][0] - lasting) <= step and u < step
 
 
-@pytest.mark.parametrize(("number", "energy"), [(0, 9e3), (1, 9e3)])
+@pytest.mark.parametrize(("number", "energy"), [(0, 9e3), pytest.param(1, 9e3, marks=pytest.mark.slow)])
 def test_a_line_appears_at_its_folded_frequency(number: int, energy: float) -> None:
     """49.7 and 99.1 Hz, sampled at 50 Hz."""
     one = one_of("interference", "gyro_line_interference", number, energy)
@@ -140,9 +163,10 @@ def test_an_axis_that_is_late_is_no_delay_of_all() -> None:
     assert one.named == ("gyro_axis_delay",) and one.in_set
 
 
-def test_a_step_is_not_a_random_walk() -> None:
+@pytest.mark.parametrize("effects", [pytest.param(OF_TIME, id="alike"), AMONG_ALL])
+def test_a_step_is_not_a_random_walk(effects: Sequence[str] | None) -> None:
     """Before a step was a hypothesis, it was named as a random walk."""
-    one = one_of("steps", "gyro_bias_step", 1)
+    one = one_of("steps", "gyro_bias_step", 1, effects=effects)
     assert one.named == ("gyro_bias_step",)
     time, u = one.parameters["gyro_bias_step.time"]
     assert abs(time - one.shape[0]) < 3 * u
@@ -150,15 +174,17 @@ def test_a_step_is_not_a_random_walk() -> None:
     assert all(abs(size - true) < 4 * u for (size, u), true in zip(sizes, one.theta, strict=True))
 
 
-def test_a_random_walk_is_not_a_step() -> None:
-    one = one_of("steps", "gyro_bias_random_walk", 1)
+@pytest.mark.parametrize("effects", [pytest.param(OF_TIME, id="alike"), AMONG_ALL])
+def test_a_random_walk_is_not_a_step(effects: Sequence[str] | None) -> None:
+    one = one_of("steps", "gyro_bias_random_walk", 1, effects=effects)
     assert one.named == ("gyro_bias_random_walk",)
 
 
+@pytest.mark.parametrize("effects", [pytest.param(LATE, id="alike"), AMONG_ALL])
 @pytest.mark.parametrize(("effect", "name"), [("gyro_bandwidth", "tau"), ("time_latency", "delay")])
-def test_a_lag_is_not_half_a_delay(effect: str, name: str) -> None:
+def test_a_lag_is_not_half_a_delay(effect: str, name: str, effects: Sequence[str] | None) -> None:
     """With a free amplitude a lag was named as a delay, or as two effects with shares of each, and u was 1e-109 s."""
-    one = one_of("late", effect, 5)
+    one = one_of("late", effect, 5, effects=effects)
     assert one.named == (effect,) and one.probability > 0.9
     value, u = one.parameters[f"{effect}.{name}"]
     assert abs(value - one.theta[0]) < 4 * u and u < 1e-3 * value

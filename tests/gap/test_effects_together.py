@@ -14,7 +14,7 @@ from planrunner.error_model.effects.interface import effect_named
 from planrunner.error_model.effects.table import TableAzimuth
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.closure import predictions
-from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.answer.sets import sets_of
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import BENT, candidates_of
@@ -78,7 +78,7 @@ def test_an_effect_on_the_output_acts_on_the_other_effects(
 def test_a_limited_output_does_not_show_another_effect() -> None:
     """The specific force along the axis of the table is the same at all rates, so that the g-sensitivity would be as large in segments
     that the limit cuts as in the others."""
-    found = diagnose(_limited(1))
+    found = diagnose(_limited(1), DiagnosisOptions(effects=("gyro_g_sensitivity", "gyro_saturation")))
     weighing, pair = found.grounds.weighing, found.posterior.sets["gyro_g_sensitivity+gyro_saturation"]
     owner, whole = weighing.spectrum.segment, weighing.seen()
     assert pair.on_others is not None

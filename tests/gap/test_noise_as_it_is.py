@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
+from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions, diagnose
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import competitors
 from planrunner.gap.hypotheses.outside import BURSTS, PLAIN, TONE, _of_short_windows, _summed, _Sums, outside
@@ -107,7 +107,8 @@ def test_no_effect_is_named_in_noise_alone() -> None:
 
 
 def test_the_noise_is_reported() -> None:
-    small, uneven_, line = (diagnose(noisy(noise)).noise for noise in (white(0.02), vibrating, humming))
+    made = (noisy(noise) for noise in (white(0.02), vibrating, humming))
+    small, uneven_, line = (diagnose(one, DiagnosisOptions(effects=("gyro_g_sensitivity",))).noise for one in made)
     for one, sigma in zip(small, SAMPLE, strict=True):
         assert one.white / one.declared == pytest.approx(0.02, rel=0.05)
         assert one.white * (DEG if one.channel.startswith("gyro") else 1.0) == pytest.approx(0.02 * sigma, rel=0.05)
@@ -218,10 +219,23 @@ def walking(observed: Observed, omega: Array, force: Array, draw: np.random.Gene
     return walk * np.array([0.0025, 0.005, 0.0025]) * SAMPLE[0], 0.0
 
 
+OF_TIME = (
+    "gyro_bias_random_walk",
+    "gyro_bias_gauss_markov",
+    "gyro_bias_step",
+    "gyro_bias_drift",
+    "gyro_warm_up",
+    "accel_bias_random_walk",
+    "accel_bias_drift",
+)
+
+
 def test_a_random_walk_is_found_far_below_the_noise_of_a_sample() -> None:
-    """A smooth or periodic course in time, outside the catalogue, describes such a walk nearly as well as the walk itself does."""
+    """A smooth or periodic course in time, outside the catalogue, describes such a walk nearly as well as the walk itself does. The effects
+    are those that follow the time."""
+    options = DiagnosisOptions(effects=OF_TIME)
     right = [
-        diagnose(noisy(of_an_angle, walking, seed)).posterior.probability["gyro_bias_random_walk"]
+        diagnose(noisy(of_an_angle, walking, seed), options).posterior.probability["gyro_bias_random_walk"]
         for seed in range(1, 5)
     ]
     assert np.mean(right) > 0.5

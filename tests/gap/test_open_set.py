@@ -10,7 +10,7 @@ import pytest
 
 from planrunner.error_model.effects.gyro import GyroScaleAsymmetry
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.open_set import (
@@ -128,7 +128,8 @@ def test_what_a_periodic_bias_shows_within_the_windows_counts_too() -> None:
     def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
         return 0.02 * DEG * np.outer((observed.time / 48 + 0.2) % 1 - 0.5, [1.0, 0.6, 0.1]), 0.0
 
-    found = diagnose(record(seed=4, fault=fault)).posterior
+    options = DiagnosisOptions(effects=("gyro_bias_random_walk", "gyro_bias_step", "gyro_g_sensitivity"))
+    found = diagnose(record(seed=4, fault=fault), options).posterior
     both = found.kinds[PERIODIC] + found.kinds[BURSTS]
     assert found.kinds[BURSTS] > 100
     assert found.log_evidence["unknown"] > both - 10

@@ -135,10 +135,10 @@ def test_a_limit_cuts_the_noise_too() -> None:
     np.testing.assert_allclose(sharp.parts[0][:41], np.minimum(limit - outputs, 0.0), atol=1e-12)
 
 
-@pytest.mark.parametrize("limit", [10.0, 30.0, 60.0, 89.9])
+@pytest.mark.parametrize("limit", [10.0, 30.0, pytest.param(60.0, marks=pytest.mark.slow), 89.9])
 def test_readings_that_stand_at_a_limit_are_not_taken_for_precise_ones(limit: float) -> None:
     """At the limit, the readings have no noise. If they counted as precise, they alone would determine the nominal parameters. The
-    limits cut all three rates, two of them or one."""
+    limits cut all three rates, two of them or one, which a limit of 89.9 deg/s only just cuts."""
     recorded, _ = _limited(5, limit * DEG)
     found = diagnose(recorded)
     assert found.verdict.effects == ("gyro_saturation",)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
+from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions, diagnose
 from planrunner.reporting.diagnosis_page import verdict
 from tests.gap.turntable import DEG, Array, G, record
 
@@ -22,14 +22,17 @@ def with_offsets(observed: Observed, omega: Array, force: Array, draw: np.random
     return effect + np.outer(offsets, [0.0, 0.0, 1.0]), 0.0
 
 
+OPTIONS = DiagnosisOptions(effects=("gyro_g_sensitivity", "gyro_g2_sensitivity", "gyro_bias_temperature", "table_tilt"))
+
+
 @pytest.fixture(scope="module")
 def clean() -> Diagnosis:
-    return diagnose(record(seed=8, fault=g_sensitivity))
+    return diagnose(record(seed=8, fault=g_sensitivity), OPTIONS)
 
 
 @pytest.fixture(scope="module")
 def beside() -> Diagnosis:
-    return diagnose(record(seed=8, fault=with_offsets))
+    return diagnose(record(seed=8, fault=with_offsets), OPTIONS)
 
 
 def test_an_effect_that_leaves_noise_explains_the_gap(clean: Diagnosis) -> None:

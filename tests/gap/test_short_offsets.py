@@ -150,7 +150,7 @@ def test_several_events_of_independent_channels_are_noise(beside: float) -> None
 
 
 @pytest.mark.parametrize(("segments", "something_else"), [([9], False), ([3, 9, 17], True)])
-@pytest.mark.parametrize("size", [2.0, 2.4])
+@pytest.mark.parametrize("size", [2.0, pytest.param(2.4, marks=pytest.mark.slow)])
 def test_an_event_of_the_noise_is_no_cause_beside_an_effect(
     segments: list[int], something_else: bool, size: float
 ) -> None:
@@ -227,7 +227,7 @@ def test_a_recorded_motion_is_another_in_each_segment(sizes: tuple[float, ...], 
     assert least < look_alike(weighing, [raw @ effect.amplitudes[0] for raw in effect.raw]) < most
 
 
-@pytest.mark.parametrize("size", [1.8, 2.5])
+@pytest.mark.parametrize("size", [1.8, pytest.param(2.5, marks=pytest.mark.slow)])
 def test_an_effect_is_named_beside_an_offset_that_also_shows_outside_the_coefficients(size: float) -> None:
     """The offset explains 2 % of the gap. Its part outside the coefficients speaks for all hypotheses equally."""
     offset = offsets({9: 11.0}, size)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.diagnosis import Diagnosis, diagnose
+from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions, diagnose
 from planrunner.gap.hypotheses.patterns import Factor
 from planrunner.plan.schedule import Spin
 from planrunner.reporting.diagnosis_page import tables, unknown_words
@@ -14,6 +14,9 @@ from tests.gap.turntable import DEG, record
 
 Array = np.ndarray
 SIZE = 0.02  # m/s²
+OPTIONS = DiagnosisOptions(
+    effects=("accel_bias_step", "accel_bias_temperature", "lever_arm", "mount_shift", "table_wobble")
+)
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +27,7 @@ def resonating() -> Diagnosis:
         fast = np.array([isinstance(m, Spin) and abs(abs(m.rate) - 40 * DEG) < 1e-9 for m in observed.motions])
         return 0.0, SIZE * fast[observed.owner][:, None] * np.array([0.0, 0.0, 1.0])
 
-    return diagnose(record(5, fault))
+    return diagnose(record(5, fault), OPTIONS)
 
 
 def test_the_pattern_that_explains_an_unknown_gap_is_said(resonating: Diagnosis) -> None:
@@ -48,5 +51,5 @@ def test_it_is_written_drawn_and_listed(resonating: Diagnosis) -> None:
 
 
 def test_without_an_unknown_cause_nothing_is_said() -> None:
-    found = diagnose(record(3))
+    found = diagnose(record(3), OPTIONS)
     assert found.unknown is None and unknown_words(found.to_json()) == ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
@@ -19,14 +21,20 @@ def weighing() -> Weighing:
 
 
 def dense_covariance(weighing: Weighing, channel: int, walk: float) -> np.ndarray:
-    """Covariance (M, M) of a channel's coefficients, written from the samples: white noise, and the steps of a random walk between
-    the middles of the samples. A sample is a mean over 0.05 s, whose variance is smaller than that in its middle by a sixth of 0.05 s."""
+    """Covariance (M, M) of a channel's coefficients: white noise, and a random walk of the density `walk`."""
+    white = np.eye(len(weighing.spectrum.segment)) * weighing.white[channel] ** 2
+    return white + (walked(weighing) * walk**2 if walk else 0.0)
+
+
+@lru_cache(maxsize=2)
+def walked(weighing: Weighing) -> np.ndarray:
+    """Covariance (M, M) of the coefficients of a random walk of unit density, written from the samples: its steps between the middles of
+    the samples. A sample is a mean over 0.05 s, whose variance is smaller than that in its middle by a sixth of 0.05 s."""
     observed = weighing.observed
     basis = block_diag(*[basis.vectors for basis in weighing.spectrum.bases])
     after = np.cumsum(basis[::-1], axis=0)[::-1]
     steps = np.diff(observed.time, prepend=observed.time[0] - 0.025)
-    walked = after.T @ (steps[:, None] * after) - 0.05 / 6 * np.eye(basis.shape[1])
-    return walked * walk**2 + np.eye(basis.shape[1]) * weighing.white[channel] ** 2
+    return np.asarray(after.T @ (steps[:, None] * after) - 0.05 / 6 * np.eye(basis.shape[1]))
 
 
 def _log_density(covariance: np.ndarray, y: np.ndarray) -> float:
