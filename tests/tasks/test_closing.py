@@ -14,7 +14,7 @@ from planrunner.cli import main
 from planrunner.execution.stopping import StopRequest
 from planrunner.gap.answer.diagnosis import DiagnosisOptions
 from planrunner.tasks.closing import Ending, close, comparison
-from planrunner.tasks.diagnose import diagnose_recorded, recorded_run
+from planrunner.tasks.diagnose import Diagnosed, diagnose_recorded, recorded_run
 from tests.tasks.test_simulate import PLAN
 
 FEW = ("table_tilt", "gyro_g_sensitivity", "time_latency", "gyro_scale_asymmetry", "gyro_noise_excess")
@@ -34,8 +34,12 @@ def tilted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return _recorded(tmp_path_factory.mktemp("tilted"), "table_tilt=about_east:100 arcsec")
 
 
-def test_a_simulation_with_the_finding_agrees_and_one_without_does_not(tilted: Path) -> None:
-    made = diagnose_recorded(recorded_run(tilted), DiagnosisOptions(effects=FEW))
+@pytest.fixture(scope="module")
+def made(tilted: Path) -> Diagnosed:
+    return diagnose_recorded(recorded_run(tilted), DiagnosisOptions(effects=FEW))
+
+
+def test_a_simulation_with_the_finding_agrees_and_one_without_does_not(made: Diagnosed) -> None:
     found = comparison(made, StopRequest(), BENCH)
     for name in ("accel_x", "accel_y", "accel_z"):
         one = found.channels[name]
@@ -46,9 +50,8 @@ def test_a_simulation_with_the_finding_agrees_and_one_without_does_not(tilted: P
     assert found.after_sigma == pytest.approx(1.0, abs=0.3)
 
 
-def test_what_is_entered_wrongly_does_not_close_the_gap(tilted: Path) -> None:
+def test_what_is_entered_wrongly_does_not_close_the_gap(made: Diagnosed) -> None:
     """The comparison is no formality: the opposite tilt makes the gap larger, twice over."""
-    made = diagnose_recorded(recorded_run(tilted), DiagnosisOptions(effects=FEW))
     found = comparison(made, StopRequest(), BENCH, [("table_tilt", {"about_east": "-100 arcsec"})])
     assert found.channels["accel_x"].after == pytest.approx(2 * found.channels["accel_x"].before, rel=0.2)
 
@@ -72,8 +75,7 @@ def test_a_computed_simulation_is_rounded_to_the_counts_of_the_recording(tmp_pat
         assert found.after_sigma == pytest.approx(1.0, abs=0.3)
 
 
-def test_joined_runs_are_refused(tilted: Path) -> None:
-    made = diagnose_recorded(recorded_run(tilted), DiagnosisOptions(effects=FEW))
+def test_joined_runs_are_refused(made: Diagnosed) -> None:
     with pytest.raises(InputError) as caught:
         comparison(replace(made, recorded=replace(made.recorded, several=True)), StopRequest(), BENCH)
     assert {finding.code for finding in caught.value.findings} == {"gap-compare"}
