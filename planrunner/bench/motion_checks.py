@@ -329,8 +329,8 @@ def _check_residual(cycle: RotationCycle, stops: complex, turns: complex, mark: 
     percent = f"{100 * share:.{2 if share < 0.995 else 3}g}"  # 100, not 1e+02
     miles = 0.01 * math.radians(1) * share * MEAN_RADIUS / 1852
     message = (
-        f"the cycle of {cycle.period:.1f} s does not cancel a constant horizontal error: the integral over a cycle is the error "
-        f"multiplied by {_seconds_left(stops)} from the stops and {_seconds_left(turns)} from the turns, so {percent} % of the error "
+        f"the cycle of {cycle.period:.1f} s does not cancel a constant horizontal error: over one cycle, the error accumulates for an "
+        f"effective time of {_seconds_left(stops)} from the stops and {_seconds_left(turns)} from the turns, so {percent} % of it "
         f"is not modulated. A gyro drift of 0.01 deg/h then acts like an unmodulated drift of {0.01 * share:.2g} deg/h "
         f"({miles:.2g} nautical miles per hour)"
     )

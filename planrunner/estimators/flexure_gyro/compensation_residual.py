@@ -264,9 +264,9 @@ def _assemble(
         plots=(_residual_plot(labels, residuals),),
         notes=(
             said(
-                "The standard uncertainties combine two parts. For the first, the experiment is simulated many times with noise and the "
-                "declared bias instability, and half the width of the central 68 % interval of the results is taken. The second part "
-                "comes from the other inputs that the bench file declares, propagated to first order. The expected range of a "
+                "The standard uncertainties combine two parts. The experiment is simulated many times with noise and the "
+                "declared bias instability: the first part is half the width of the central 68 % interval of the results. The second "
+                "part comes from the other inputs that the bench file declares, propagated to first order. The expected range of a "
                 "ratio includes both parts."
             ),
             _CLAIM,

@@ -181,7 +181,7 @@ def leak_note(request: EstimateRequest[RockingDriftParameters], seconds: float) 
     level axis. `seconds`: time between the windows, s."""
     tilt = math.cos(request.site.latitude) * request.site.earth_rate * seconds
     return said(
-        "By the second window the element has tilted by {tilt:.2f} deg relative to the site: up to {share:.1f} % of the "
+        "By the second window, the element has tilted by {tilt:.2f} deg relative to the site: up to {share:.1f} % of the "
         "rocking drift about the vertical axis appears as drift about a level axis.",
         tilt=math.degrees(tilt),
         share=100 * math.sin(tilt),

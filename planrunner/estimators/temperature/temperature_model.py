@@ -591,8 +591,8 @@ def _notes(one: Modelled, parameters: TemperatureModelParameters) -> list[Said]:
         )
         found.append(
             said(
-                "{name}: of the orders {orders}, order {order} was chosen. The criterion is {rule}, with "
-                "{left_out} left out.",
+                "{name}: of the orders {orders}, order {order} was chosen. The criterion is {rule}. To "
+                "compute the held-out errors, {left_out} is left out.",
                 name=name,
                 order=fit.curve.order,
                 orders=tuple(str(item.order) for item in fit.errors),
