@@ -87,7 +87,7 @@ def _rounds(found: FoundCycles) -> Table:
         for name, search in found.searches.items()
         for one in search.rounds
     ]
-    counts = alike(Role.COUNT, "Moves", "Cycles tried", "leave nothing", "of these, with cable wind-up")
+    counts = alike(Role.COUNT, "Moves", "Cycles tried", "without residual", "of these, with cable wind-up")
     columns = (TableColumn("Search"), *counts, TableColumn("Tried"))
     return Table("Search", columns, tuple(rows))
 
@@ -107,7 +107,7 @@ def notes(found: FoundCycles) -> tuple[str, ...]:
         if search.cycle is None:
             said.append(f"{title}: none of the cycles tried has a zero residual and leaves the cables unwound.")
         said += [
-            f"{title}: with {one.moves} moves no cycle was found; all {one.balanced} cycles with a zero residual wind up the cables."
+            f"{title}: with {one.moves} moves, no suitable cycle was found, because every cycle with a zero residual winds up the cables."
             for one in search.rounds
             if one.exhaustive and one.balanced and one.balanced == one.wound
         ]

@@ -57,7 +57,7 @@ def tables(found: FoundRates) -> tuple[Table, ...]:
             "Information from the rates",
             (
                 *alike(Role.LABEL, "Rates"),
-                *alike(Role.SHARE, "Of the best found", "Of the best design of equal duration"),
+                *alike(Role.SHARE, "Relative to the best found", "Relative to the best design of equal duration"),
                 *alike(Role.LABEL, "Plan takes"),
             ),
             compared,

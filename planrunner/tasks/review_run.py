@@ -96,7 +96,7 @@ def _deviations(
         if segment.index not in held:
             yield RunDeviation("not recorded", "planned, but not recorded", segment.label, grave=True)
     if sound.models.origin == "simulated":
-        yield RunDeviation("simulated", "at least one instrument is simulated: no item was measured", grave=True)
+        yield RunDeviation("simulated", "at least one instrument is simulated, so no item was measured", grave=True)
     for item in reader.rejected():
         yield RunDeviation(
             "recorded again", f"attempt {item.attempt} is not used: {item.reason or 'no reason given'}", item.label

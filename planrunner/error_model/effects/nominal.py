@@ -91,7 +91,7 @@ _ABOUT = {
         "Correct the scale factor, or add it to `nominal` under `diagnosis` in the plan: {{found}}.",
     ),
     "misalignment": About(
-        "{} axes are not where they are declared",
+        "{} axes deviate from their declared directions",
         "Each {} responds to inputs along the other axes, because its input axis is tilted.",
         Actor.SENSOR,
         "Correct the misalignment, or add it to `nominal` under `diagnosis` in the plan: {{found}}.",
