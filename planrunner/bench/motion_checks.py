@@ -383,10 +383,10 @@ def _check_whole(cycle: RotationCycle, dwell: float, mark: Mark, log: Findings) 
 def _seconds_left(left: complex) -> str:
     """States in words how much of a sensor error remains after a cycle: the component in the direction of the error and, if it is
     not zero, the perpendicular component (positive to the left, seen from above)."""
-    across = f"{left.imag:+.2f} s across" if abs(left.imag) > 5e-3 else ""
+    across = f"{left.imag:+.2f} s (perpendicular to it)" if abs(left.imag) > 5e-3 else ""
     if abs(left.real) <= 5e-3:
         return across or "0 s"
-    return f"{left.real:+.2f} s along and {across}" if across else f"{left.real:+.2f} s"
+    return f"{left.real:+.2f} s (along the error) and {across}" if across else f"{left.real:+.2f} s"
 
 
 def _deg(radians: float) -> str:

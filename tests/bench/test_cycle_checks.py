@@ -85,7 +85,7 @@ def test_the_printed_cycle_is_warned_of_where_it_stands(tmp_path: Path) -> None:
     assert (finding.code, finding.severity, finding.mark.line) == ("physics-cycle-residual", "warning", MOVES_LINE)
     for words in (
         "1564.0 s",
-        "multiplied by 0 s from the stops",
+        "effective time of 0 s from the stops",
         "-23.03 s from the turns",
         "1.5 %",
     ):
@@ -107,7 +107,7 @@ def test_stops_that_do_not_balance_are_named(tmp_path: Path) -> None:
     assert set(found) == {"physics-cycle-residual", "physics-cycle-stops", "physics-cycle-angle"}
     # Stops at A, B, C, B: B twice, D never. 360 s across the error are left over them.
     assert "B for 360 s per cycle, the opposite side for 0 s" in found["physics-cycle-stops"].message
-    assert "multiplied by +360.00 s across from the stops" in found["physics-cycle-residual"].message
+    assert "effective time of +360.00 s (perpendicular to it) from the stops" in found["physics-cycle-residual"].message
     # Symmetric about 90 deg, so that is the mean: 10 ppm of 90 deg are 3.24 arcsec.
     assert "is 90 deg" in found["physics-cycle-angle"].message
     assert "+3.2 arcsec" in found["physics-cycle-angle"].message
@@ -117,7 +117,7 @@ def test_periodic_reversal_is_a_cycle_without_stops(tmp_path: Path) -> None:
     plan = PLAN.replace("[MOVES]", "[A +360 A, A -360 A, A -360 A, A +360 A]")
     finding = only(check(tmp_path, EIGHT, stop="0 s", plan=plan))
     assert finding.code == "physics-cycle-residual"  # the axis is slow where it reverses
-    assert "multiplied by 0 s from the stops" in finding.message
+    assert "effective time of 0 s from the stops" in finding.message
     one_sided = PLAN.replace("[MOVES]", "[A +360 A, A -360 A]")
     assert "physics-cycle-angle" in [f.code for f in check(tmp_path, EIGHT, stop="0 s", plan=one_sided).findings]
 
