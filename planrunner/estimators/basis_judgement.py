@@ -17,7 +17,7 @@ from planrunner.estimators.interface import DesignBlock, DesignRequest, Estimati
 from planrunner.estimators.open_flicker import no_flicker_declared
 from planrunner.estimators.outlying_segments import LEAST_REDUNDANCY, Outlier, agreement
 from planrunner.estimators.outputs_fit import OutputsFit
-from planrunner.observation.drift import DriftCourse
+from planrunner.observation.drift import ClockJump, DriftCourse
 from planrunner.observation.observations import SIGNIFICANCE, Weighting
 from planrunner.plan.schedule import Segment
 from planrunner.uncertainty.influences import Aspect
@@ -249,6 +249,7 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
     drift = fit.drift
     if not drift.courses:
         suspected = tuple(_suspected(fit, one, basis) for one in drift.suspected)
+        suspected += () if drift.jumped is None else (_jumped(fit, drift.jumped),)
         named = {one.course.name for one in drift.suspected}
         doubted = tuple(_doubted(fit, one) for one in drift.doubted if one.course.name not in named)
         if drift.rivals and drift.nonlinear is not None:
@@ -297,6 +298,28 @@ def drift_words(fit: OutputsFit, basis: str) -> DriftWords:
         warning=seen,
     )
     return DriftWords(warnings=(doubtful, *bent))
+
+
+def _jumped(fit: OutputsFit, found: ClockJump) -> Said:
+    """Returns a warning about a jump of the recording's clock that hides a drift."""
+    values: dict[str, Said | str | float | tuple[str, ...]] = {
+        "outputs": fit.outputs,
+        "seconds": found.seconds,
+        "segment": found.label,
+    }
+    if found.within:
+        return said(
+            "{outputs}: the times in segment '{segment}' contain a gap of {seconds:.3g} s. If the clock of the recording jumped "
+            "there by this time, a steady drift during the test explains the residuals; with the recorded times, it does "
+            "not. Correct the times, or record again without a change of the clock.",
+            **values,
+        )
+    return said(
+        "{outputs}: the pause before segment '{segment}' differs from the other pauses by {seconds:.3g} s. If the clock of the "
+        "recording jumped there by this time, a steady drift during the test explains the residuals; with the recorded times, it "
+        "does not. Correct the times, or record again without a change of the clock.",
+        **values,
+    )
 
 
 def _named(courses: Sequence[DriftCourse]) -> tuple[str, ...]:

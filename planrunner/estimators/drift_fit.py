@@ -40,7 +40,7 @@ from planrunner.base.dataclass import dataclass
 from planrunner.estimators import rank
 from planrunner.estimators.drift_order import COUPLED
 from planrunner.estimators.least_squares import LinearFit
-from planrunner.observation.drift import DriftCourse, DriftCourses
+from planrunner.observation.drift import ClockJump, DriftCourse, DriftCourses
 from planrunner.observation.observations import SIGNIFICANCE, WithinSegmentNoise
 
 LEAST_LEFT = 2
@@ -102,7 +102,8 @@ class FittedDrift:
     if none was adopted. `rivals`: drift functions that the data show, but that are not adopted because a nonlinearity explains the
     residuals equally well. `nonlinear`: array of shape (m,), the fraction of the sum of squared residuals that the nonlinearity
     explains. `doubted`: the doubted drift functions; no two of them are proportional to each other. The module docstring defines
-    the terms suspected and doubted.
+    the terms suspected and doubted. `jumped`: a jump of the recording's clock; without it, a drift would explain the residuals. None
+    if there is no such jump.
     """
 
     courses: tuple[DriftCourse, ...] = ()
@@ -114,6 +115,7 @@ class FittedDrift:
     rivals: tuple[DriftCourse, ...] = ()
     nonlinear: Array | None = None
     doubted: tuple[DoubtedDrift, ...] = ()
+    jumped: ClockJump | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -197,13 +199,15 @@ def fitted_drift(
             course, probability = hinted
             doubted = _doubted(matrix, course, min(probability, _scattering(plain, noises)), plain, noises, fits, basis)
         doubted += _hidden(matrix, suspected, doubted, plain, noises, fits, basis)
-        return FittedDrift(by_evidence=True, judged=judged, suspected=suspected, doubted=doubted)
+        jumped = _jumped(matrix, magnitudes, drift, plain, noises, fits)
+        return FittedDrift(by_evidence=True, judged=judged, suspected=suspected, doubted=doubted, jumped=jumped)
     if not drift.shown and any(course.order for course in chosen):
         chosen += tuple(one for one in _next(matrix, magnitudes, drift, chosen, len(noises)) if one.order)
     whole = fits(joined(matrix, chosen))
     if not drift.shown and not explained_by_noise(whole, noises):
         suspected = _suspected(matrix, magnitudes, names, drift, None, fits)
-        return FittedDrift(by_evidence=True, judged=True, suspected=suspected)
+        jumped = _jumped(matrix, magnitudes, drift, plain, noises, fits)
+        return FittedDrift(by_evidence=True, judged=True, suspected=suspected, jumped=jumped)
     bent = () if drift.shown else _nonlinear(matrix, plain, fits)
     if bent and explained_by_noise(bent, noises) and _criterion(bent, len(matrix)) < _criterion(whole, len(matrix)):
         doubted = tuple(
@@ -219,6 +223,29 @@ def fitted_drift(
         if bent and _criterion(bent, len(matrix)) < _criterion(whole, len(matrix)):
             return replace(made, nonlinear=_taken(plain, bent))
     return made
+
+
+def _jumped(
+    matrix: Array,
+    magnitudes: Array,
+    drift: DriftCourses,
+    plain: Sequence[LinearFit],
+    noises: Sequence[WithinSegmentNoise],
+    fits: Fits,
+) -> ClockJump | None:
+    """Returns a jump of the recording's clock if the noise does not explain the residuals of the fits without a drift (`plain`), but
+    explains the residuals of fits with a drift in the time without this jump. This function is used if no drift in the recorded time
+    is adopted. `matrix`: array of shape (n, p), the columns of the terms. `magnitudes`: array of shape (p,), their magnitudes."""
+    if not drift.jumps or explained_by_noise(plain, noises):
+        return None
+    for jump in drift.jumps:
+        chosen: tuple[DriftCourse, ...] = ()
+        without = DriftCourses(jump.courses)
+        while tried := _next(matrix, magnitudes, without, chosen, len(noises)):
+            chosen = (*chosen, *tried)
+            if explained_by_noise(fits(joined(matrix, chosen)), noises):
+                return jump
+    return None
 
 
 def _scattering(plain: Sequence[LinearFit], noises: Sequence[WithinSegmentNoise]) -> float:

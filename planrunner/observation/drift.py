@@ -29,6 +29,9 @@ ORDERS = ("linear", "quadratic", "cubic")
 WITH_TEMPERATURE = ("temperature", "temperature_rate")
 _PER = {"linear": "h", "quadratic": "h^2", "cubic": "h^3", "temperature": "K", "temperature_rate": "(K/h)"}
 _HOUR = 3600.0
+_FEWEST = 4  # segments that show a jump of the clock
+_OF_SPACING = 0.1  # of the median time from segment to segment: shorter jumps of the clock hardly change a drift
+_JUMPED = 2  # highest power of the time that is tried with a jump of the clock
 _STEADY = 1e-9  # K: a smaller change of the temperature is rounding
 
 
@@ -74,18 +77,35 @@ class DriftCourse:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ClockJump:
+    """Describes a place at which the clock of the recording may have jumped: the pause between two segments that differs most from the
+    other pauses, or the longest gap within a segment.
+
+    `label`: the segment after the pause, or the segment that contains the gap. `within`: True for a gap. `seconds`: length of the
+    jump, s: the gap, or the pause minus the median of the other pauses. `courses`: the powers of the time without
+    the jump.
+    """
+
+    label: str
+    within: bool
+    seconds: float
+    courses: tuple[DriftCourse, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DriftCourses:
     """The drift functions that may be fitted.
 
     `by_evidence`: True if only the drift functions that the data show are fitted; False if all drift functions are fitted. `fits`:
     number of separate fits that search for the same drift. `shown`: names of the drift functions that at least one of these fits
-    shows; each fit then includes these functions if its segments allow it.
+    shows; each fit then includes these functions if its segments allow it. `jumps`: places at which the clock may have jumped.
     """
 
     courses: tuple[DriftCourse, ...] = ()
     by_evidence: bool = True
     fits: int = 1
     shown: frozenset[str] = frozenset()
+    jumps: tuple[ClockJump, ...] = ()
 
 
 NO_DRIFT = DriftCourses()
@@ -145,7 +165,40 @@ def drift_of(
     used = [replace(one, columns=one.columns[rows]) for one in courses]
     if by_evidence:  # unknown times, and a temperature that does not change, show no drift
         used = [one for one in used if np.any(one.columns)]
-    return DriftCourses(tuple(used), by_evidence)
+    jumps = _jumps(test, start, end, seconds, rows) if by_evidence and segments else ()
+    return DriftCourses(tuple(used), by_evidence, jumps=jumps)
+
+
+def _jumps(
+    test: Sequence[RecordedSegment], start: Array, end: Array, seconds: Array, rows: Sequence[int]
+) -> tuple[ClockJump, ...]:
+    """Returns the places at which the clock of the recording may have jumped, forward or back. A place counts only if the jump is at
+    least a tenth of the median time from segment to segment. `test`: the segments in the order in which they were recorded. `start`, `end`: arrays of shape (n,), times of the segments, s. `seconds`: array of
+    shape (n,), recorded time of the used samples, s. `rows`: rows of the observations among the segments."""
+    if len(test) < _FEWEST:
+        return ()
+    pauses = start[1:] - end[:-1]
+    least = _OF_SPACING * float(np.median(np.abs(np.diff(start))))
+    after = int(np.argmax(np.abs(pauses - np.median(pauses))))
+    longer = float(pauses[after] - np.median(np.delete(pauses, after)))
+    gaps = np.array([one.statistics.largest_gap for one in test])
+    held = int(np.argmax(gaps))
+    found = []
+    for row, within, size in ((after + 1, False, longer), (held, True, float(gaps[held]))):
+        if abs(size) <= least:
+            continue
+        begun, ended = start.copy(), end.copy()
+        if within:
+            shared = np.any((start > start[row]) & (start < end[row]))  # the other segments have the planned times
+            later = (start >= end[row]) & ~shared
+            ended[row] -= size
+        else:
+            later = np.arange(len(start)) >= row
+        begun[later] -= size
+        ended[later] -= size
+        courses = tuple(replace(one, columns=one.columns[rows]) for one in in_time(begun, ended, seconds, _JUMPED))
+        found.append(ClockJump(test[row].label, within, size, courses))
+    return tuple(found)
 
 
 def courses_by_evidence(
