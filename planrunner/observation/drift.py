@@ -173,8 +173,9 @@ def _jumps(
     test: Sequence[RecordedSegment], start: Array, end: Array, seconds: Array, rows: Sequence[int]
 ) -> tuple[ClockJump, ...]:
     """Returns the places at which the clock of the recording may have jumped, forward or back. A place counts only if the jump is at
-    least a tenth of the median time from segment to segment. `test`: the segments in the order in which they were recorded. `start`, `end`: arrays of shape (n,), times of the segments, s. `seconds`: array of
-    shape (n,), recorded time of the used samples, s. `rows`: rows of the observations among the segments."""
+    least a tenth of the median time from segment to segment. `test`: the segments in the order in which they were recorded. `start`,
+    `end`: arrays of shape (n,), times of the segments, s. `seconds`: array of shape (n,), recorded time of the used samples, s.
+    `rows`: rows of the observations among the segments."""
     if len(test) < _FEWEST:
         return ()
     pauses = start[1:] - end[:-1]
