@@ -301,9 +301,9 @@
       let again = true;
       try {
         again = await listen();
-        if (again) connected("The connection has ended. Connecting again …", "bad");
+        if (again) connected("The connection was lost. Reconnecting …", "bad");
       } catch {
-        connected("The server does not answer. What is shown may be old. Connecting again …", "bad");
+        connected("The server does not answer. The page may be out of date. Reconnecting …", "bad");
       }
       if (!again) return;
       await new Promise((resolve) => setTimeout(resolve, 2000));

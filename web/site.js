@@ -171,7 +171,7 @@
       make("ul", { cls: "counts" }, ...counts),
       ...(said.length ? [make("h2", { text: "Fleet" }), make("ul", { cls: "said" }, ...said)] : []),
       ...(standards.length ? [table("Check standards that were measured first", [["Bench"], ["Check standard"], ["State"], ["Why"]], standards)] : []),
-      table("Tests of the night, what needs attention first", [["Test"], ["Device"], ["Bench"], ["State"], ["Reason"], ["Run folder"]], rows),
+      table("Tests of the night, those that need attention first", [["Test"], ["Device"], ["Bench"], ["State"], ["Reason"], ["Run folder"]], rows),
       ...night.remarks.map((text) => make("p", { text })),
     ];
   };
@@ -197,7 +197,7 @@
       const weight = (run) => (run.state === "sealed" ? 0 : -5) + rank[run.verdict];
       const sorted = [...night].sort((a, b) => weight(a) - weight(b) || a.place - b.place);
       const shown = sorted.slice(0, 500);
-      parts.push(table("Runs, what needs attention first", RUN_TITLES, shown.map(runRow)));
+      parts.push(table("Runs, those that need attention first", RUN_TITLES, shown.map(runRow)));
       if (sorted.length > shown.length) parts.push(make("p", { text: `${sorted.length - shown.length} more are under Runs.` }));
     }
     if (entry.faults.length) {
@@ -299,7 +299,7 @@
     if (rows.length)
       parts.push(
         make("h2", { text: "Check standards" }),
-        make("p", { cls: "soft", text: "State at the time at which this site was made." }),
+        make("p", { cls: "soft", text: "State when this site was made." }),
         table("Check standards of the benches", [["Bench"], ["Check standard"], ["State"], ["Newest run"], ["Why, or the newest values"]], rows),
       );
     return parts;
@@ -373,7 +373,7 @@
     ];
     host.replaceChildren(
       figure(`${one.quantity}${unit}`, chart),
-      make("p", { cls: "soft", text: `Points: values. Band: U = 2u. Dashed: Shewhart control limits. Dotted: limits of the plans.${one.changes.length ? " Upright lines: changes of the level." : ""}` }),
+      make("p", { cls: "soft", text: `Points: values. Band: U = 2u. Dashed: Shewhart control limits. Dotted: limits of the plans.${one.changes.length ? " Vertical lines: changes in level." : ""}` }),
       ...changeList(one),
       ...(charted ? [make("div", { cls: "strips" }, ...slow)] : []),
       table(`${one.quantity}${one.unit ? ` in ${one.unit}` : ""}, the newest first`, titles, rows.slice(0, 500)),
@@ -461,7 +461,7 @@
         ),
       ),
     );
-    return [table("Changes of the level, and what else changed at the same time", [["Between the runs"], ["Step ± U", "number"], ["p", "number"], ["What else changed (possible causes)"]], rows)];
+    return [table("Changes in level, and what else changed at the same time", [["Between the runs"], ["Step ± U", "number"], ["p", "number"], ["What else changed (possible causes)"]], rows)];
   };
 
   // -- which page -----------------------------------------------------------------------------------------------------

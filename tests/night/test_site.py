@@ -210,7 +210,7 @@ def test_the_wall_shows_the_tests_of_the_night(tmp_path: Path) -> None:
     (shown,) = found["entry"]["nights"]
     assert {test[5] for test in shown["tests"]} == {row[0] for row in found["runs-0"]}
     with chromium() as browser, opened(browser, (tmp_path / "site" / "index.html").as_uri()) as page:
-        wall = page.get_by_role("table", name="Tests of the night, what needs attention first")
+        wall = page.get_by_role("table", name="Tests of the night, those that need attention first")
         expect(wall.locator("tbody tr")).to_have_count(2)
         expect(page.get_by_text("Night <b>x</b>: ")).to_be_visible()
         assert violations(page) == [] and overhang(page) <= 0

@@ -108,7 +108,7 @@ def test_the_pages_show_them(tmp_path: Path) -> None:
                 assert violations(page) == [] and overhang(page) <= 0
                 row.get_by_role("link", name="CS-01").click()
                 expect(page.locator("canvas")).to_have_count(3)
-                changes = page.get_by_role("table", name="Changes of the level, and what else changed at the same time")
+                changes = page.get_by_role("table", name="Changes in level, and what else changed at the same time")
                 expect(changes).to_contain_text("firmware table: 2.0 → 2.1, and so in all runs before and after")
                 expect(page.get_by_text("Cumulative sums (CUSUM)")).to_contain_text("also the newest")
                 expect(page.get_by_role("listitem").filter(has_text=SAID)).to_be_visible()
