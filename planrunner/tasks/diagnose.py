@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from planrunner.bench.specification import Sense
     from planrunner.error_model.observed import Observed
     from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions
-    from planrunner.gap.hypotheses.declarations import WrongDeclaration
+    from planrunner.gap.hypotheses.declarations import AttitudeReading, WrongDeclaration
     from planrunner.reporting.advice import Advice
     from planrunner.tasks.propose import Next
 
@@ -353,7 +353,7 @@ def corrected_observation(
     obstacles to a diagnosis."""
     from planrunner.gap.evidence.recording_checks import check_observed, check_recording
     from planrunner.gap.evidence.segment_checks import check_segments
-    from planrunner.gap.hypotheses.declarations import corrected, in_step
+    from planrunner.gap.hypotheses.declarations import attitude_read_otherwise, corrected, in_step
     from planrunner.observation.refusals import ObservationError
     from planrunner.observation.samples import observed, poses, unknown_orientations
 
@@ -404,6 +404,10 @@ def corrected_observation(
         fixture = sound.bench.fixture
         if fixture is not None and fixture.reach is not None:
             seen = replace(seen, reach=fixture.reach.value)
+        reading = attitude_read_otherwise(seen)
+        if reading is not None:
+            findings.error("gap-attitude", Mark(recorded.where), *_read_otherwise(reading))
+            raise InputError(findings)
         seen, wrong = corrected(seen)
         wrong += late
         for one in wrong:
@@ -415,6 +419,21 @@ def corrected_observation(
     if findings.errors:
         raise InputError(findings)
     return seen, tuple(wrong), findings
+
+
+def _read_otherwise(reading: AttitudeReading) -> tuple[str, str]:
+    """Returns the message and the hint of the error about an attitude reference that must be read differently."""
+    from planrunner.gap.hypotheses.declarations import REAL_PART_LAST
+
+    read, remedies = [], []
+    if reading.order == REAL_PART_LAST:
+        read.append("with the real part last")
+        remedies.append("exchange the columns in the bench file, so that `attitude` lists the real part first")
+    if reading.conjugate:
+        read.append("as a conversion of vectors from East-North-Up to the sensor's axes")
+        remedies.append("in the bench file, give the channels of the three imaginary parts `per_unit: -1`")
+    message = f"the outputs follow the attitude reference only if its quaternions are read {' and '.join(read)}"
+    return message, "; ".join(remedies)
 
 
 def _warned(wrong: WrongDeclaration) -> tuple[str, str]:

@@ -22,7 +22,7 @@ large delays are corrected before the diagnosis.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise, permutations
 
 import numpy as np
@@ -32,6 +32,8 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.declared import rearranged, turned_back
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.recording_checks import MISFIT, STIRRED, means_over
+from planrunner.physics.moved_body import by_attitude
+from planrunner.plan.schedule import RecordedMotion
 from planrunner.plan.units import STANDARD_GRAVITY
 
 FITS = 0.1
@@ -90,6 +92,24 @@ class WrongDeclaration:
     alternative: str = ""
 
 
+@dataclass(frozen=True, slots=True)
+class AttitudeReading:
+    """Describes how the quaternions of an attitude reference are read. `order`: for each component, real part first, its place in the
+    declared order. `conjugate`: True if the quaternions convert vectors from East-North-Up to the sensor's axes."""
+
+    order: tuple[int, int, int, int]
+    conjugate: bool
+
+
+DECLARED_ORDER, REAL_PART_LAST = (0, 1, 2, 3), (3, 0, 1, 2)
+ATTITUDE_READINGS = (
+    AttitudeReading(DECLARED_ORDER, True),
+    AttitudeReading(REAL_PART_LAST, False),
+)
+"""Readings that are tried if the recording does not follow the attitudes as declared. If both mistakes are made at once, the wrong
+attitudes differ from the true ones by a fixed rotation, so the recording looks as if axes were exchanged and reversed."""
+
+
 @dataclass(frozen=True)
 class _Reading:
     """Describes which input a channel shows: the input along one axis (0, 1 or 2), multiplied by a sign and a factor."""
@@ -145,6 +165,51 @@ def corrected(observed: Observed) -> tuple[Observed, list[WrongDeclaration]]:
     if not again.sound or _of_channels(better, again.readings)[0]:
         return observed, found
     return better, found + wrong
+
+
+def attitude_read_otherwise(observed: Observed) -> AttitudeReading | None:
+    """Finds another reading of the quaternions of an attitude reference with which the recording follows the plan, although it does not
+    follow the plan with the declared reading. Returns None if there is no such reading, or if the recording has no attitude
+    reference."""
+    if observed.along is not None or len(observed) < 2:
+        return None
+    parts = _parts(observed)
+    planned = _fit(observed, parts)
+    gyros = [(index, observed.channels[index].axis) for index in observed.of_kind("gyro")]
+    told = [planned.readings[index] for index, _ in gyros]
+    if planned.sound and not (told and all(one is not None and one.sign < 0 for one in told)):
+        return None
+    for reading in ATTITUDE_READINGS:
+        other = _with_attitude(observed, reading)
+        if other is None:
+            return None
+        fit = _fit(other, parts)
+        straight = all(fit.readings[index] == _Reading(axis, 1.0, 1.0) for index, axis in gyros)
+        if fit.sound and straight and planned.misfit > CLEARLY**2 * fit.misfit:
+            return reading
+    return None
+
+
+def _with_attitude(observed: Observed, reading: AttitudeReading) -> Observed | None:
+    """Returns the recording with another reading of its attitudes; None if the recording shows no attitude. The declared reading gave
+    the quaternion of an attitude, up to its sign. The sign does not matter, because opposite quaternions describe the same attitude."""
+    from scipy.spatial.transform import Rotation
+
+    shown = [isinstance(motion, RecordedMotion) and bool(motion.attitude) for motion in observed.motions]
+    if not any(shown):
+        return None
+    courses = list(observed.courses)
+    for index, rows in enumerate(observed.segments()):
+        course = courses[index]
+        if course is None or not shown[index]:
+            continue
+        declared = Rotation.from_matrix(course.attitude.swapaxes(1, 2)).as_quat(scalar_first=True)
+        quaternions = declared[:, list(reading.order)] * (1, *[-1 if reading.conjugate else 1] * 3)
+        by_gravity = np.allclose(course.force, course.attitude @ observed.site.specific_force_enu)
+        courses[index] = by_attitude(
+            observed.time[rows], quaternions, observed.site, None if by_gravity else course.force
+        )
+    return replace(observed, courses=tuple(courses))
 
 
 def _parts(observed: Observed) -> list[slice]:
