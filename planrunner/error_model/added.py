@@ -252,6 +252,8 @@ def added(
     out = levels.copy()
     for stage in STAGES[:-1]:
         seen = replace(observed, fitted=out.copy())
+        if observed.response is None and observed.along is None:
+            seen = replace(seen, response=observed.response_in(out))
         for item in additions:
             if item.effect.stage == stage:
                 for column, amplitude in _amplitudes(item, seen, seed, orientation):

@@ -159,6 +159,7 @@ def _excess(parts: Sequence[Array | None], segments: Sequence[ObservedSegment]) 
     )
 
 
+_STEADY = 1e-6  # fraction of the square of the rate; a rate whose variance is smaller counts as constant
 _OF_MOTION = ("owner", "_turned", "earth_rate", "table_axis", "omega", "force", "turn", "swing", "pulsation")
 """Attributes of `Observed` that contain the motion at every sample, once they have been computed."""
 
@@ -319,6 +320,17 @@ class Observed:
     def swing(self) -> Array:
         """Returns the angular acceleration of the sensor in its axes [rad/s²], shape (N, 3)."""
         return self._by_course(self.acceleration[:, None] * self.table_axis, lambda course: course.swing)
+
+    def response_in(self, outputs: Array) -> Array:
+        """Returns the change of each output per rate about each sensor axis, shape (K, 3), from a regression of the errors of the
+        outputs on the rate. Directions in which the rate hardly changes get the response of an ideal sensor. `outputs`: array of
+        shape (N, K), outputs without noise, SI."""
+        axes = np.eye(3)[[channel.axis for channel in self.channels]]
+        rate, error = self.omega - self.omega.mean(axis=0), outputs - replace(self, fitted=None).nominal_output
+        energy, directions = np.linalg.eigh(rate.T @ rate)
+        changing = directions[:, energy > _STEADY * (self.omega**2).sum()]
+        gains, *_ = np.linalg.lstsq(rate @ changing, error, rcond=None)
+        return np.asarray(axes + (changing @ gains).T)
 
     def turn_before(self, seconds: float) -> Array:
         """Returns the value of `turn` at the time `seconds` earlier, minus the present value of `turn`, shape (N, 3). While the

@@ -218,7 +218,7 @@ class AddedEffects:
             moments.time + step / 2 - moments.power_on,  # time stamps, at the ends of the sample intervals
             moments.angle,
             moments.rate,
-            np.zeros(len(warm)) if steady else np.gradient(moments.rate, step),
+            moments.acceleration,
             warm,
             np.zeros(len(warm)) if steady else np.gradient(warm, step),
             np.zeros((len(warm), len(channels))),

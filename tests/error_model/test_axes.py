@@ -47,9 +47,8 @@ def of_schedule() -> tuple[Channel, ...]:
 
 def of_simulation() -> tuple[Channel, ...]:
     instrument = AddedEffects(AddedEffectsParameters(effects={}), World(VirtualClock(), SITE))
-    moments = Moments(
-        SEGMENT, TIME, 0.0, 10.0, np.zeros(50), np.zeros(50), np.full(50, 298.15), np.zeros(50), np.zeros(50)
-    )
+    zero = np.zeros(50)
+    moments = Moments(SEGMENT, TIME, 0.0, 10.0, zero, zero, zero, np.full(50, 298.15), zero, zero)
     gives = {name: Gives(text, NOISE.white, NOISE.resolution) for name, text in {**UNITS, **OTHERS}.items()}
     return instrument._observed(moments, gives).channels
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from planrunner.base.findings import InputError
@@ -52,11 +54,27 @@ def plan(tmp_path: Path) -> Path:
     return path
 
 
-def _simulated(plan: Path, *effects: str) -> Path:
+def _simulated(plan: Path, *effects: str, bench: str = "virtual_imu_nominal") -> Path:
     runs = plan.parent / f"runs{len(list(plan.parent.glob('runs*')))}"
     listed = [word for effect in effects for word in ("--with", effect)]
-    assert main(["simulate", str(plan), *listed, "--quiet", "--runs", str(runs)]) == 0
+    assert main(["simulate", str(plan), *listed, "--bench", bench, "--quiet", "--runs", str(runs)]) == 0
     return next(runs.iterdir())
+
+
+@pytest.mark.parametrize("delay", [5.0, -5.0])
+def test_a_delay_shifts_the_output_of_a_rocking_gyro(plan: Path, delay: float) -> None:
+    """Two simulations with the same noise, at 50 Hz. The phases follow from fitted sines: the delay acts on the output with its scale
+    factor, and the outputs are means over the sampling intervals."""
+    runs = [_simulated(plan, *own, bench="virtual_imu_over_temperature") for own in ((), (f"time_latency={delay} ms",))]
+    phases = []
+    for run in runs:
+        (path,) = (run / "segments").glob("*-K.parquet")
+        read = pq.read_table(path)
+        time, rate = read["time"].to_numpy(), read["gyro_z"].to_numpy()
+        terms = np.column_stack([np.sin(2 * np.pi * time), np.cos(2 * np.pi * time), np.ones(len(time))])
+        sine, cosine, _ = np.linalg.lstsq(terms, rate, rcond=None)[0]
+        phases.append(np.arctan2(cosine, sine))
+    assert (phases[0] - phases[1]) / (2 * np.pi) * 1e3 == pytest.approx(delay, abs=2e-4)  # ms
 
 
 @pytest.mark.parametrize(

@@ -20,8 +20,9 @@ class Moments:
 
     `time`: array of shape (n,), middle of each sampling interval, s since the start of the run. `power_on`: time at which the
     sensor was switched on, s, by the same clock. `angle`: array of shape (n,) in rad, rotation of the table since it reached the
-    orientation. `rate`: rate of this rotation, rad/s. `kelvin`: temperature of the sensor, K. `overvoltage`: supply voltage minus
-    its nominal value, V. `overpressure`: ambient pressure minus the standard atmosphere, Pa.
+    orientation. `rate`: rate of this rotation, rad/s. `acceleration`: angular acceleration of the table, rad/s². Angle, rate and
+    acceleration are means over each sampling interval, like the outputs of the sensor. `kelvin`: temperature of the sensor, K.
+    `overvoltage`: supply voltage minus its nominal value, V. `overpressure`: ambient pressure minus the standard atmosphere, Pa.
     """
 
     segment: Segment
@@ -30,6 +31,7 @@ class Moments:
     sample_rate: float
     angle: Array
     rate: Array
+    acceleration: Array
     kelvin: Array
     overvoltage: Array
     overpressure: Array

@@ -293,8 +293,11 @@ class VirtualImu(TakesEffects):
         for axis, chance in zip(self.axes, dwell.chances, strict=True):
             level = self._level(axis, chance, dwell, means, kelvin, middles)
             levels[axis.name] = level if level.size == length else np.repeat(level, hold)[:length]
-        time = sampling.times(first, length, delay=1) - 0.5 / sampling.rate
-        angle, rate = turned(self.world, dwell.segment, time)
+        step = 1 / sampling.rate
+        end = sampling.times(first, length, delay=1)
+        time = end - 0.5 * step
+        before, after = (turned(self.world, dwell.segment, edges) for edges in (end - step, end))
+        rate, acceleration = ((late - early) / step for early, late in zip(before, after, strict=True))
         warm = self.world.sensor(time)
         volts, pascals = (np.full(length, value) for value in self._excess(dwell.segment))
         moments = Moments(
@@ -302,8 +305,9 @@ class VirtualImu(TakesEffects):
             time,
             self.switched_on,
             sampling.rate,
-            angle,
+            mean_angle(self.world, dwell.segment, end, step),
             rate,
+            acceleration,
             warm,
             overvoltage=volts,
             overpressure=pascals,
