@@ -71,7 +71,7 @@ def _approve(args: argparse.Namespace) -> int:
     for one in found:
         own = next(item for item in one.approvals if item.stated.file == file)
         if one.rule is not None:
-            word = "it counts" if own.standing == "counts" else f"it does not count: {own.why}"
+            word = "this approval counts" if own.standing == "counts" else f"this approval does not count: {own.why}"
             print_line(f"bench '{one.bench}': {word}; {_enough(one)}", out)
     return exit_codes.DONE
 
@@ -114,9 +114,9 @@ def _list(args: argparse.Namespace) -> int:
 
 def _enough(one: BenchApprovals) -> str:
     if one.rule is None:
-        return "it requires no approvals"
+        return "the bench requires no approvals"
     persons = len({item.person for item in one.approvals if item.standing == "counts"})
-    return f"{persons} of {one.rule.required} required approvals{'' if one.met else ', so the plan cannot run'}"
+    return f"the plan has {persons} of {one.rule.required} required approvals{'' if one.met else ', so it cannot run'}"
 
 
 def _lines(item: JudgedApproval) -> list[str]:

@@ -730,7 +730,7 @@ def test_the_command_shows_what_is_approved_and_asks(plan: Path) -> None:
     assert "Two rates" in done.stderr and "No earlier approved version" in done.stderr
     assert not approvals_folder(plan).exists()
     done = planrunner(*asked, "--yes", cwd=folder, PLANRUNNER_PASSPHRASE=WORDS)
-    assert "it counts; 1 of 2 required approvals, so the plan cannot run" in done.stdout
+    assert "this approval counts; the plan has 1 of 2 required approvals, so it cannot run" in done.stdout
     replaced(plan, "dwell: 5 s", "dwell: 7 s")
     done = planrunner(*asked, "--yes", cwd=folder, PLANRUNNER_PASSPHRASE=WORDS)
     assert "Since the version that Anna Example approved" in done.stderr and "2 segments changed" in done.stderr
