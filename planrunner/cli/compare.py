@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(found.to_json())
     else:
         from planrunner.reporting import terminal
-        from planrunner.reporting.history_tables import comparison_table
+        from planrunner.reporting.history_tables import comparison_table, scatter_sentence
 
         for number, (name, row) in enumerate(zip(found.names, found.runs, strict=True), start=1):
             about = (
@@ -36,4 +36,6 @@ def run(args: argparse.Namespace) -> int:
             )
             print_line(about)
         terminal.print_tables(comparison_table(found))
+        if sentence := scatter_sentence(found):
+            print_line(sentence)
     return exit_codes.LIMIT_FAILED if found.differs else exit_codes.DONE

@@ -35,6 +35,7 @@ from planrunner.estimators.interface import (
 from planrunner.estimators.limits import LimitVerdict, hold
 from planrunner.estimators.monte_carlo_validation import Chains, linear_chain, validated
 from planrunner.estimators.open_flicker import with_flicker_words
+from planrunner.estimators.repeated_estimates import with_scatter_words
 from planrunner.estimators.results import Results, segment_statistics
 from planrunner.estimators.screened_estimate import estimated
 from planrunner.estimators.thermometer_counts import thermometer_count_words, thermometer_counts
@@ -101,6 +102,7 @@ def analyse(
                 f"the estimator '{spec.estimator}' failed unexpectedly ({type(error).__name__}: {error}); report "
                 "this to its author"
             )
+    made = with_scatter_words(made, estimates, recording)
     verdicts: list[LimitVerdict] = []
     for limit in limits:
         try:

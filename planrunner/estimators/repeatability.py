@@ -70,6 +70,13 @@ class RepeatabilityParameters(Record):
         ["gyro_x"],
         default_factory=tuple,
     )
+    quantities: dict[str, tuple[str, ...]] = key(
+        MapOf(ListOf(Text("", "a name of the form estimate.coefficient"), minimum=2)),
+        "Repeated quantities whose coefficients have different names, such as a position that several outputs show: the "
+        "coefficients, each with the name of its estimate in `uses`. Use this in place of `coefficients`.",
+        {"position_x": ["unit_x.lever_arm_r_x_accel_x", "unit_y.lever_arm_r_x_accel_y"]},
+        default_factory=dict,
+    )
     groups: dict[str, tuple[str, ...]] = key(
         MapOf(ListOf(Text("", "a name or a pattern"), minimum=1, single=True)),
         "Groups, such as a day or a switch-on: labels of segments, or names of estimates in `uses`, "
@@ -168,7 +175,10 @@ class Repeatability(Method[RepeatabilityParameters, ScatterQuantities]):
         parameters = request.parameters
         names = _items(parameters, [recorded.label for recorded in request.segments], list(request.uses))
         group = _grouped(names, parameters.groups, bool(parameters.channels))
-        found = _channels(request, group) if parameters.channels else _coefficients(request, group)
+        if parameters.quantities:
+            found = _quantities(request)
+        else:
+            found = _channels(request, group) if parameters.channels else _coefficients(request, group)
         splits = tuple((one, analysis_of_variance(one.value, one.group, one.expected)) for one in found)
         coefficients = tuple(item for pair in splits for item in _reported(*pair))
         spread = np.array([item.standard_uncertainty for item in coefficients])
@@ -201,7 +211,13 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
         raise EstimationError(
             "`coefficients` selects from other estimates: name these in `uses`, or leave `coefficients` out"
         )
+    if parameters.quantities and (parameters.coefficients or parameters.channels or parameters.groups):
+        raise EstimationError(
+            "`quantities` names all coefficients itself: leave `coefficients`, `channels` and `groups` out"
+        )
     items = list(labels) if parameters.channels else list(uses)
+    if parameters.quantities:
+        return items
     if len(items) < 2:
         what = "segment" if parameters.channels else "estimate"
         raise EstimationError(f"one {what} is not enough for repeatability: choose two or more")
@@ -282,7 +298,7 @@ def _coefficients(request: EstimateRequest[RepeatabilityParameters], group: NDAr
             raise EstimationError(f"'{name}' is given in different units ({', '.join(sorted(units))})")
         values = together([own[name] for own in each])
         spread = np.array([own[name].standard_uncertainty for own in each])
-        noise = _expected_variance(name, tuple(request.uses.values()))
+        noise = _expected_variance([name] * len(each), tuple(request.uses.values()))
         found.append(
             Repeats(name, units.pop(), tuple(request.uses), values, spread, group, each[0][name].period, noise)
         )
@@ -292,10 +308,40 @@ def _coefficients(request: EstimateRequest[RepeatabilityParameters], group: NDAr
     return found
 
 
-def _expected_variance(name: str, uses: Sequence[Estimate]) -> float:
-    """Returns the variance that noise alone causes in a coefficient of expected estimates; NaN for estimates from a recording."""
+def _quantities(request: EstimateRequest[RepeatabilityParameters]) -> list[Repeats]:
+    """Returns the repeats of quantities whose coefficients have different names."""
     found = []
-    for used in uses:
+    for name, texts in request.parameters.quantities.items():
+        items, noise = [], []
+        for text in texts:
+            estimate, _, wanted = text.partition(".")
+            if estimate not in request.uses:
+                raise EstimationError(
+                    f"'{text}' in `quantities`: `uses` has no '{estimate}': {closest(estimate, request.uses)}"
+                )
+            used = request.uses[estimate]
+            known = {item.name: item for item in used.coefficients}
+            if wanted not in known:
+                raise EstimationError(f"'{estimate}' has no coefficient '{wanted}': {closest(wanted, known)}")
+            items.append(known[wanted])
+            noise.append(_expected_variance([wanted], [used]))
+        units = {item.unit for item in items}
+        if len(units) > 1:
+            raise EstimationError(f"the coefficients of '{name}' have different units ({', '.join(sorted(units))})")
+        values, own = together(items), np.array([item.standard_uncertainty for item in items])
+        expected = float(np.mean(noise))
+        if not np.isfinite(values).all() and math.isnan(expected):
+            raise UnfitDataError(f"'{name}' is not a finite number in every estimate")
+        group = np.zeros(len(items), dtype=np.int64)
+        found.append(Repeats(name, units.pop(), texts, values, own, group, items[0].period, expected))
+    return found
+
+
+def _expected_variance(names: Sequence[str], uses: Sequence[Estimate]) -> float:
+    """Returns the variance that noise alone causes in coefficients of expected estimates; NaN for estimates from a recording.
+    `names`: the name of the coefficient in each estimate."""
+    found = []
+    for name, used in zip(names, uses, strict=True):
         if not used.expected or used.data_covariance is None:
             return math.nan
         place = [item.name for item in used.coefficients].index(name)

@@ -24,8 +24,12 @@ _PIECE = 4096  # values taken at once
 _MIDDLE = (0.8413, 0.1587)  # quantiles one standard deviation above and below the mean of a normal distribution
 _SMOOTH = 0.01  # largest amplitude that a normal distribution has at the frequencies that are examined
 _FASTEST = 0.5  # periods per count: the frequency at which every other count is preferred
-_SLOWEST = 0.25  # periods per count, from which the frequencies are examined
-_TRIED = 251  # frequencies
+_SLOWEST = 0.25  # periods per count: lower frequencies show another count of more than four times this count
+_TRIED = 1501  # frequencies
+_WIDEST = (
+    100.0  # counts: with more noise, the frequencies are not close enough, and rounding errors average out in any case
+)
+_GROUPS = 32  # most groups of values that are examined
 _SEEN = 1e-6  # probability by chance, over all frequencies, below which the counts are uneven
 
 
@@ -109,27 +113,29 @@ def unevenness(groups: Sequence[Array], count: float) -> float:
     Noise with a standard deviation of more than one count is spread smoothly over the counts. If the values were multiples of
     another count before, some counts occur more often than their neighbours. The rounding errors then do not average out. The
     result is the largest amplitude of the empirical characteristic function at 1/4 to 1/2 periods per count (B. Widrow and I.
-    Kollár, Quantization Noise, 4). At these frequencies, the amplitude of normal noise is small. `groups`: arrays of shape (n_g,),
-    values at a constant input.
+    Kollár, Quantization Noise, 4). At these frequencies, the amplitude of normal noise is small. A large amplitude at a lower
+    frequency means that the other count is more than four times as large. Compared with its rounding errors, those of the smaller
+    count do not matter, and the result is 0. `groups`: arrays of shape (n_g,), values at a constant input.
     """
     shown = [np.round((one - one[0]) / count) for one in groups if len(one) > 1]
-    samples = np.array([len(one) for one in shown])
-    if not len(shown):
+    if not shown:
         return 0.0
-    middle = np.array([np.subtract(*np.quantile(one, _MIDDLE)) for one in shown]) / 2
+    shown = shown[:: -(-len(shown) // _GROUPS)]
+    samples = np.array([len(one) for one in shown])
+    middle = np.array([min(float(np.subtract(*np.quantile(one, _MIDDLE))) / 2, float(np.std(one))) for one in shown])
     sigma = math.sqrt(float(np.average(middle**2, weights=samples)))
-    slowest = max(_SLOWEST, math.sqrt(-2 * math.log(_SMOOTH)) / (2 * math.pi * max(sigma, 1e-9)))
-    if slowest > _FASTEST:
+    smooth = math.sqrt(-2 * math.log(_SMOOTH)) / (2 * math.pi * max(sigma, 1e-9))
+    if smooth > _FASTEST or sigma > _WIDEST:
         return 0.0
     from scipy.special import chdtrc
 
-    frequencies = np.linspace(slowest, _FASTEST, _TRIED)
-    squares = np.zeros((len(shown), _TRIED))
-    for row, one in enumerate(shown):
+    frequencies = np.linspace(smooth, _FASTEST, _TRIED)
+    squares = np.zeros(_TRIED)
+    for one in shown:
         levels, times = np.unique(one, return_counts=True)
         waves = np.exp(2j * math.pi * np.outer(frequencies, levels)) @ times
-        squares[row] = np.abs(waves) ** 2 / len(one)  # of independent values: exponentially distributed, mean 1
-    total = squares.sum(axis=0)
-    if chdtrc(2 * len(shown), 2 * float(total.max())) * _TRIED > _SEEN:
+        squares += np.abs(waves) ** 2 / len(one)  # of independent values: exponentially distributed, mean 1
+    first = int(np.argmax(squares >= squares.max() / 4))  # half the largest amplitude
+    if frequencies[first] < _SLOWEST or chdtrc(2 * len(shown), 2 * float(squares.max())) * _TRIED > _SEEN:
         return 0.0
-    return math.sqrt(min(max((float(total.max()) - len(shown)) / float(samples.sum() - len(shown)), 0.0), 1.0))
+    return math.sqrt(min(max((float(squares.max()) - len(shown)) / float(samples.sum() - len(shown)), 0.0), 1.0))

@@ -18,6 +18,7 @@ from planrunner.night.history.rows import RunRow
 from planrunner.night.history.trend import DAY, Trend
 from planrunner.reporting import words
 from planrunner.reporting.verdict import stamp
+from planrunner.uncertainty.homogeneity import SIGNIFICANT
 
 _NOT_MEASURED: tuple[DataOrigin, ...] = ("simulated", "replayed")
 HEIGHT, WIDTH = 13, 72
@@ -114,14 +115,27 @@ def comparison_table(found: RunComparison) -> Table:
     columns = [TableColumn("coefficient"), TableColumn("unit")]
     for number in range(1, len(found.runs) + 1):
         columns.append(TableColumn(f"run {number}"))
-    columns.append(TableColumn("largest |E_n|"))
+    columns += [TableColumn("largest |E_n|"), TableColumn("scatter/u"), TableColumn("p")]
     rows = []
     for one in found.coefficients:
         cells = [
             "—" if pair is None else f"{words.number(pair[0])} ± {words.number(2 * pair[1], 2)}" for pair in one.values
         ]
-        rows.append((one.quantity, one.unit, *cells, "—" if one.largest_en is None else f"{one.largest_en:.2f}"))
+        en = "—" if one.largest_en is None else f"{one.largest_en:.2f}"
+        scatter = ("—", "—") if one.scatter is None else (f"{one.scatter.ratio:.2f}", f"{one.scatter.chance:.1g}")
+        rows.append((one.quantity, one.unit, *cells, en, *scatter))
     return Table("Coefficients with expanded uncertainties (k = 2)", tuple(columns), tuple(rows))
+
+
+def scatter_sentence(found: RunComparison) -> str:
+    """Returns a sentence about the scatter from run to run; empty if no coefficient has an uncertainty in two runs."""
+    if not any(one.scatter is not None for one in found.coefficients):
+        return ""
+    more = found.scattered
+    if not more:
+        return "The runs scatter no more than the stated uncertainties allow (scatter/u: Birge ratio; p: probability by chance)."
+    listed = ", ".join(f"{one.quantity} ({one.scatter.ratio:.2g} times)" for one in more if one.scatter is not None)
+    return f"The runs scatter more than their standard uncertainties allow: {listed}. The stated uncertainties are too small for repeats."
 
 
 def gauge_table(found: GaugeStudy, unit: str) -> Table:
@@ -152,6 +166,13 @@ def sentences(found: Trend) -> list[str]:
             f"(u = {words.number(centre.standard_uncertainty, 2)}{unit}); "
             f"scatter from run to run beyond the stated uncertainties: {words.number(centre.between, 2)}{unit}."
         )
+        if found.scatter is not None:
+            significant = found.scatter.chance < SIGNIFICANT
+            about = "more than the uncertainties allow" if significant else "consistent with the uncertainties"
+            said.append(
+                f"All {found.scatter.repeats} values scatter {words.number(found.scatter.ratio, 2)} times as much as their standard "
+                f"uncertainties state (p = {found.scatter.chance:.1g}): {about}."
+            )
         now = alarms(found, len(found.points) - 1)
         outside = f"outside the limits of {', '.join(now)}" if now else "within all control limits"
         said.append(f"The newest value is {outside} (Shewhart ±{SHEWHART:g} σ, EWMA ±{EWMA_WIDTH:g} σ, CUSUM).")

@@ -329,3 +329,19 @@ def test_repeats_that_scatter_more_than_their_uncertainties_are_named() -> None:
     assert [text for text in of_values(values).warnings if "scatter" in text]
     quiet = {name: 5 + (value - 5) / 20 for name, value in values.items()}
     assert not of_values(quiet).warnings
+
+
+def test_coefficients_with_different_names_are_compared() -> None:
+    """1.0, 1.2 and 1.1 with u = 0.01: the mean square is 0.01, so the repeats scatter ten times as much as stated."""
+    values = {"x": 1.0, "y": 1.2, "z": 1.1}
+    made = {f"of_{axis}": given(value, f"r_accel_{axis}", "m", 0.01) for axis, value in values.items()}
+    quantities = {"r": tuple(f"of_{axis}.r_accel_{axis}" for axis in "xyz")}
+    found = repeats(made, quantities=quantities)
+    assert found["mean_r"].value == pytest.approx(1.1)
+    assert found["s_r"].value == pytest.approx(0.1)
+    assert any("10 times as much" in text for text in found.warnings)
+    for wrong in ("of_w.r_accel_w", "of_x.r_accel_w"):
+        with pytest.raises(EstimationError, match=r"of_w|r_accel_w"):
+            repeats(made, quantities={"r": ("of_x.r_accel_x", wrong)})
+    with pytest.raises(EstimationError, match="leave `coefficients`"):
+        repeats(made, quantities=quantities, coefficients=("r",))

@@ -270,6 +270,15 @@ channels:
         for unit in outputs
         for axis in "xyz"
     )
+    positions = "\n".join(
+        f"  position_{unit}: {{estimator: repeatability, uses: [{', '.join(f'unit_{unit}_{axis}' for axis in 'xyz')}], quantities: {{"
+        + ", ".join(
+            f"r_{along}: [{', '.join(f'unit_{unit}_{axis}.lever_arm_r_{along}_accel_{unit}_{axis}' for axis in 'xyz')}]"
+            for along in "xyz"
+        )
+        + "}}"
+        for unit in outputs
+    )
     body = f"""
 defaults:
   orientation: unknown
@@ -279,6 +288,7 @@ segments:
   - {{label: "part_{{repeat}}", repeat: {len(named)}}}
 estimates:
 {estimates}
+{positions}
 diagnosis: {{outputs: [accel_2_x, accel_2_y, accel_2_z]}}
 """
     return RealSet(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from planrunner.base.findings import InputError, Mark
 from planrunner.night.history.agreement import ParticipantAgreement, agreement
 from planrunner.night.history.reading import read_run
 from planrunner.night.history.rows import CoefficientRow, IndexedRun, RunRow
+from planrunner.uncertainty.homogeneity import SIGNIFICANT, Homogeneity, homogeneity
 
 COMPARISON_FORMAT = 1
 
@@ -22,12 +24,13 @@ COMPARISON_FORMAT = 1
 class ComparedCoefficient:
     """One coefficient in several compared runs. `values`: for each run, the pair (value, standard uncertainty); None if the run
     lacks the coefficient or has it in another unit. `agreement`: E_n of each other run that has the coefficient, relative to the
-    first run."""
+    first run. `scatter`: scatter of all runs, compared with their uncertainties; None if fewer than two runs have an uncertainty."""
 
     quantity: str
     unit: str
     values: tuple[tuple[float, float] | None, ...]
     agreement: tuple[ParticipantAgreement, ...]
+    scatter: Homogeneity | None = None
 
     @property
     def largest_en(self) -> float | None:
@@ -43,6 +46,13 @@ class RunComparison:
     names: tuple[str, ...]
     runs: tuple[RunRow, ...]
     coefficients: tuple[ComparedCoefficient, ...]
+
+    @property
+    def scattered(self) -> tuple[ComparedCoefficient, ...]:
+        """Returns the coefficients that scatter more from run to run than their uncertainties allow. With m coefficients, each is
+        tested at 1/m of the significance level."""
+        tested = [(one, one.scatter) for one in self.coefficients if one.scatter is not None]
+        return tuple(one for one, test in tested if test.chance * len(tested) < SIGNIFICANT)
 
     @property
     def differs(self) -> bool:
@@ -65,6 +75,7 @@ class RunComparison:
                         for found in one.values
                     ],
                     "largest_en": one.largest_en,
+                    "scatter": None if one.scatter is None else one.scatter.to_json(),
                 }
                 for one in self.coefficients
             ],
@@ -103,4 +114,11 @@ def _compared(quantity: str, rows: Sequence[CoefficientRow | None]) -> ComparedC
         for row in rows
     )
     places = {str(place): [one] for place, one in enumerate(values) if one is not None and one[1] == one[1]}
-    return ComparedCoefficient(quantity, unit, values, agreement(places, "0") if "0" in places else ())
+    known = [row for row, one in zip(rows, values, strict=True) if row is not None and one is not None]
+    scatter = homogeneity(
+        [row.value for row in known],
+        [row.standard_uncertainty for row in known],
+        [row.degrees_of_freedom for row in known],
+        known[0].period if known else math.inf,
+    )
+    return ComparedCoefficient(quantity, unit, values, agreement(places, "0") if "0" in places else (), scatter)

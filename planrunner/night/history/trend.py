@@ -17,6 +17,7 @@ from planrunner.night.history.control_charts import Chart, ControlCharts, contro
 from planrunner.night.history.drift import HORIZON, DriftLine, days_left, drift_line
 from planrunner.night.history.rows import Circumstance, HistoryPoint
 from planrunner.plan.units import UnknownUnitError, convert
+from planrunner.uncertainty.homogeneity import Homogeneity, homogeneity
 
 HISTORY_FORMAT = 1
 DAY = 86400.0
@@ -30,7 +31,8 @@ class Trend:
     (n,), values and standard uncertainties in `unit`, which is the unit of the newest run. `left_out`: folders of runs whose value
     cannot be used, because it has another dimension, is missing, or has no finite uncertainty. `charts`, `drift`: control charts
     and drift line; None if there are too few values. `tolerance`: the permissible deviation, which determines when the next
-    calibration is due; None if it is not stated.
+    calibration is due; None if it is not stated. `scatter`: scatter of all values, compared with their uncertainties; None if fewer
+    than two values have an uncertainty.
     """
 
     device: str
@@ -46,6 +48,7 @@ class Trend:
     tolerance: float | None
     benches: tuple[ParticipantAgreement, ...]
     laboratories: tuple[ParticipantAgreement, ...]
+    scatter: Homogeneity | None = None
 
     @property
     def next_calibration(self) -> datetime | None:
@@ -74,6 +77,7 @@ class Trend:
                 "between_runs": charts.centre.between,
                 "values": charts.centre.values,
             },
+            "scatter": None if self.scatter is None else self.scatter.to_json(),
             "out_of_control": None if charts is None else charts.out_of_control,
             "changes": [self._change(one) for one in self.changes],
             "drift": None
@@ -176,6 +180,7 @@ def trend(device: str, quantity: str, found: Sequence[HistoryPoint], tolerance: 
         tolerance,
         agreement(_grouped([point.run.bench for point in points], values, u)),
         agreement(_grouped([point.run.laboratory for point in points], values, u)),
+        homogeneity(values, u, [point.coefficient.degrees_of_freedom for point in points]),
     )
 
 

@@ -166,6 +166,9 @@ def test_runs_are_compared(archive: Path, capsys: pytest.CaptureFixture[str]) ->
     values = [one["value"] for one in bias["values"]]
     assert bias["largest_en"] == pytest.approx(abs(values[1] - values[0]) / (2 * np.hypot(0.1, 0.1)))
     assert slope["largest_en"] == 0.0
+    assert bias["scatter"]["ratio"] == pytest.approx(abs(values[1] - values[0]) / np.hypot(0.1, 0.1))
+    assert slope["scatter"]["chance"] == 1.0
+    assert "drift.bias (6.7 times)" in answer(capsys, "compare", *runs, code=1)
     assert "largest |E_n|" in answer(capsys, "compare", *runs, code=1)
     answer(capsys, "compare", runs[0], runs[0])
     assert main(["compare", runs[0]]) == 2 and main(["compare", runs[0], str(archive)]) == 2
