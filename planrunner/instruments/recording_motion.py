@@ -73,9 +73,9 @@ def turns_compared(gyro: Array, accel: Array, begin: Array, end: Array, still: S
     turns = list(_turns(gyro, accel, begin, end, still))
     if len(turns) < LEAST_TURNS:
         return None
-    found = [
-        (word, axes, _errors(turns, unit(word).factor * matrix)) for word in UNITS for axes, matrix in _signed_axes()
-    ]
+    forms = [(word, axes, unit(word).factor * matrix) for word in UNITS for axes, matrix in _signed_axes()]
+    errors = _errors(turns, np.array([matrix for _, _, matrix in forms]))
+    found = [(word, axes, own) for (word, axes, _), own in zip(forms, errors, strict=True)]
     word, axes, best = min(found, key=lambda one: float(np.minimum(one[2], _MOST).mean()))
     error = float(np.median(best))
     if error >= _AGREES:
@@ -133,18 +133,18 @@ def _signed_axes() -> Iterator[tuple[tuple[str, str, str], Array]]:
             yield (x, y, z), matrix
 
 
-def _errors(turns: Sequence[_Turn], matrix: Array) -> Array:
-    """Returns, for each turn, the angle [deg] between the direction of gravity that is measured after the turn and the direction
-    that is computed from the gyros, shape (n,).
+def _errors(turns: Sequence[_Turn], matrices: Array) -> Array:
+    """Returns, for each of m matrices and each of n turns, the angle [deg] between the direction of gravity that is measured after the
+    turn and the direction that is computed from the gyros, shape (m, n).
 
-    In the axes of the sensor, a direction u that is fixed in space follows du/dt = -ω × u. `matrix`: converts outputs of the gyros
-    to rates in rad/s about the axes of the accelerometers."""
+    In the axes of the sensor, a direction u that is fixed in space follows du/dt = -ω × u. `matrices`: array of shape (m, 3, 3); each
+    matrix converts outputs of the gyros to rates in rad/s about the axes of the accelerometers."""
     from scipy.spatial.transform import Rotation
 
     angles = []
     for turn in turns:
-        computed = turn.before
-        for rotation in Rotation.from_rotvec(-turn.steps @ matrix.T):
-            computed = rotation.apply(computed)
-        angles.append(math.degrees(math.acos(min(1.0, max(-1.0, float(computed @ turn.after))))))
-    return np.array(angles)
+        computed = np.tile(turn.before, (len(matrices), 1))
+        for step in turn.steps:
+            computed = Rotation.from_rotvec(-matrices @ step).apply(computed)
+        angles.append(np.degrees(np.arccos(np.clip(computed @ turn.after, -1.0, 1.0))))
+    return np.column_stack(angles)

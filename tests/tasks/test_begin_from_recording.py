@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +15,15 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from planrunner.cli import main
+from planrunner.instruments.recording_look import Look
+from planrunner.reporting import recording_picture
 
 DATA = Path(os.environ.get("PLANRUNNER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 real_data = pytest.mark.skipif(
     not (DATA / "broad").is_dir(), reason="the real recordings are not there (PLANRUNNER_DATA)"
 )
 RATE = 50.0
+DRAWN = 6
 Array = NDArray[np.float64]
 
 
@@ -38,6 +41,21 @@ def tumbled(noise: float = 0.01) -> tuple[Array, Array, Array]:
     a, g = 9.81 * np.concatenate(accel), np.concatenate(gyro)
     time = np.arange(len(a)) / RATE
     return time, g + draw.normal(0, noise / 10, g.shape), a + draw.normal(0, noise, a.shape)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def a_few_pictures_are_drawn() -> Iterator[None]:
+    """Drawing takes as long as all else. The first `DRAWN` recordings are drawn: the picture of a further one is that of the last."""
+    draw, drawn = recording_picture.recording_picture, list[str]()
+
+    def sparing(look: Look) -> str:
+        if len(drawn) < DRAWN:
+            drawn.append(draw(look))
+        return drawn[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(recording_picture, "recording_picture", sparing)
+        yield
 
 
 def begun(recording: Path, *more: str, capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
@@ -147,7 +165,7 @@ def test_the_interval_of_a_slow_recording_is_no_pause(tmp_path: Path, capsys: py
     table = np.column_stack([time, omega])
     np.savetxt(tmp_path / "slow.csv", table, delimiter=",", header="time_s,omega_z", comments="")
     begun(tmp_path / "slow.csv", capsys=capsys)
-    assert "by 310 s and more in 1 place." in (tmp_path / "begun.bench.yaml").read_text()
+    assert "by 310 s or more in 1 place." in (tmp_path / "begun.bench.yaml").read_text()
 
 
 def test_a_unit_that_swings_all_the_time_is_not_at_rest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -28,6 +28,7 @@ from planrunner.base.findings import InputError
 from planrunner.cli import main
 from planrunner.instruments.formats.guessing import guessed_channel
 from planrunner.instruments.recording_look import look_at
+from planrunner.reporting import recording_picture
 from tests import dataflash_bytes, ros_bytes
 
 Array = NDArray[np.float64]
@@ -38,6 +39,12 @@ NOON = datetime(2026, 3, 4, 12, 0, 0, 5000)
 GYRO_NOISE, ACCEL_NOISE = 0.002, 0.01
 IN_RAD = {"rad/s": 1.0, "deg/s": 1 / DEG, "mdeg/s": 1e-3 / DEG}
 IN_M = {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G}
+
+
+@pytest.fixture(autouse=True)
+def no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Drawing takes longer than reading most of these files; `test_begin_from_recording` draws."""
+    monkeypatch.setattr(recording_picture, "recording_picture", lambda look: "<svg/>")
 
 
 @functools.cache
