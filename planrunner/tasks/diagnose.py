@@ -537,11 +537,32 @@ def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
             raise InputError.at(spec.segments.origin.mark, "gap-unfit", str(error), "look at `channels`") from None
         found += [_stretch(item, number, one.span) for number, one in enumerate(spans, start=1)]
     if not found:
-        hint = "raise `threshold` or shorten `at_least`"
-        raise InputError.at(
-            spec.segments.origin.mark, "gap-unfit", "no interval at rest was found in the recording", hint
-        )
+        message, hint = "no interval at rest was found in the recording", "raise `threshold` or shorten `at_least`"
+        size = _size_of_force([recorded.segments[index] for index in within], spec.segments.channels)
+        if not 1 / _WRONG_UNIT < size < _WRONG_UNIT:
+            message += f"; the root mean square of the specific force is {size:.3g} g"
+            hint = "check the unit of the accelerometers in the bench file; at rest, they measure 1 g"
+        raise InputError.at(spec.segments.origin.mark, "gap-unfit", message, hint)
     return tuple(found)
+
+
+_WRONG_UNIT = 3.0
+"""If the root mean square of the specific force is this many times larger or smaller than gravity, the unit is probably wrong."""
+
+
+def _size_of_force(segments: Sequence[RecordedSegment], channels: Sequence[str]) -> float:
+    """Returns the root mean square of the specific force over some segments, g; 1 if no segment has samples. `channels`: names of the
+    accelerometers."""
+    import math
+
+    squares, count = 0.0, 0
+    for item in segments:
+        known = item.statistics
+        for name in channels if known.count else ():
+            at, factor = known.of(name), unit(item.units[name]).factor
+            squares += known.count * factor**2 * float(known.mean[at] ** 2 + known.covariance[at, at])
+        count += known.count
+    return math.sqrt(squares / count) / STANDARD_GRAVITY if count else 1.0
 
 
 def _stretch(item: RecordedSegment, number: int, span: Span) -> RecordedSegment:

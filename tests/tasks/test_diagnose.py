@@ -284,6 +284,19 @@ def test_what_is_wrong_with_a_plans_diagnosis_is_said_with_its_place(tmp_path, k
     assert words in said and "plan.yaml:6:" in said
 
 
+def test_a_wrong_unit_that_hides_the_intervals_at_rest_is_said(tmp_path):
+    """The threshold is in the right unit, so the noise of readings in mg that are declared as m/s² is far above it."""
+    laboratory(tmp_path)
+    diagnosed_with(tmp_path, "{segments: {detect: still, window: 0.5 s, threshold: 0.1 m/s^2, at_least: 1 s}}")
+    table = pq.read_table(tmp_path / "recording.parquet").to_pandas()
+    force = [name for name in table.columns if name.startswith("accel")]
+    table[force] *= 1000 / 9.80665
+    table[force] += np.random.default_rng(1).normal(0, 5, table[force].shape)
+    table.to_parquet(tmp_path / "recording.parquet")
+    said = refused(tmp_path)
+    assert "no interval at rest was found in the recording; the root mean square of the specific force is 10" in said
+
+
 def test_some_orientations_unknown_and_others_not_is_refused(tmp_path):
     laboratory(tmp_path)
     replace(
