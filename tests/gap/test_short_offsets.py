@@ -19,11 +19,17 @@ from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import diagnose
 from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.noise_events import RATES, Events, averaged_over_rates
 from planrunner.gap.hypotheses.open_set import ODD_SEGMENT, _with_events, competitors, look_alike
 from planrunner.gap.hypotheses.outside import BURSTS, ENERGIES, _now_and_then, scopes_of
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort
-from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets, _windows
+from planrunner.gap.hypotheses.short_offsets import (
+    RATES,
+    SHORT_OFFSETS,
+    Events,
+    ShortOffsets,
+    _windows,
+    averaged_over_rates,
+)
 from planrunner.plan.schedule import RecordedMotion, Rest, Spin
 from tests.gap.turntable import ACCEL_WHITE, DEG, GYRO_WHITE, RATE, Fault, kept, record
 

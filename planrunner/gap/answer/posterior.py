@@ -31,7 +31,6 @@ from planrunner.gap.answer.remainder import dispersions
 from planrunner.gap.answer.sets import EffectSet, key_of, sets_of
 from planrunner.gap.evidence.noise_levels import Level, log_densities
 from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
-from planrunner.gap.hypotheses.noise_events import RATES, averaged_over_rates
 from planrunner.gap.hypotheses.open_set import (
     Kinds,
     competitors,
@@ -43,7 +42,7 @@ from planrunner.gap.hypotheses.open_set import (
 )
 from planrunner.gap.hypotheses.outside import Line
 from planrunner.gap.hypotheses.patterns import Pattern
-from planrunner.gap.hypotheses.short_offsets import ShortOffsets
+from planrunner.gap.hypotheses.short_offsets import RATES, ShortOffsets, averaged_over_rates
 
 BESIDE = 0.001  # probability that a tone or bursts with an independent cause are present in addition to an effect
 PRIORS = {"none": 0.20, "single": 0.50, "pair": 0.10, "several": 0.05, "unknown": 0.15}

@@ -25,10 +25,15 @@ from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean
 from planrunner.gap.evidence.covariance import lasting
 from planrunner.gap.evidence.weighing import ChannelWeights, DesignColumns, Eigen, Left, eigen, visible
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.noise_events import RATES, Events, averaged_over_rates
 from planrunner.gap.hypotheses.outside import PLAIN, Line, Outside, outside, scopes_of
 from planrunner.gap.hypotheses.patterns import WHOLE, Factor, Pattern, Sort, designs, factors, sizes, sorts
-from planrunner.gap.hypotheses.short_offsets import SHORT_OFFSETS, ShortOffsets
+from planrunner.gap.hypotheses.short_offsets import (
+    RATES,
+    SHORT_OFFSETS,
+    Events,
+    ShortOffsets,
+    averaged_over_rates,
+)
 
 PERIODIC = Pattern("offset periodic in time", Sort.SEVERAL, Factor.TIME)
 ODD_SEGMENT = Pattern("one odd segment", Sort.MEANS, Factor.TIME)
@@ -53,7 +58,7 @@ class Kinds:
     factor of the competitor in each channel alone, at the first setting of the noise. `outside`: log Bayes factor of the patterns
     outside the coefficients. No effect of the catalogue acts outside the coefficients, so these patterns are independent of every
     effect. `lines`: the strongest tone of each channel that shows a tone. `events`: array of shape (G, Q), log Bayes factor of the
-    events of the noise in the coefficients, at each rate (`noise_events.RATES`). `no_events`: array of shape (Q,), log probability
+    events of the noise in the coefficients, at each rate (`short_offsets.RATES`). `no_events`: array of shape (Q,), log probability
     that the coefficients contain no event. `events_outside`: array of shape (Q,), log Bayes
     factor of the events outside the coefficients, which are the same for every effect. `with_events`: array of shape (G,), log Bayes
     factor of "something else" in noise with events (`unknown` states it in noise without events)."""

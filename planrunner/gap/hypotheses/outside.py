@@ -6,7 +6,7 @@ A tone keeps its frequency and its phase over the whole run. Tones are found in 
 A burst is a window of a few seconds with a shifted bias or with larger noise, at a random time in a run. Every window contains a
 burst with the same small probability. The windows are parts of the remainder, so the part of a burst that the coefficients absorb
 is missing. A deviation that appears in most windows of segments of equal length is slow noise, not a burst. Bursts of independent
-channels and sizes are rare events of the noise (`hypotheses.noise_events`). Their evidence is stated separately.
+channels and sizes are rare events of the noise (`hypotheses.short_offsets`). Their evidence is stated separately.
 
 In array shapes, N is the number of all samples, K is the number of channels, F is the number of frequencies, W is the number of
 windows, E is the number of energies of a burst, and Q is the number of rates of events.
@@ -24,8 +24,8 @@ from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import STRONGEST, WEAKEST, log_mean_exp
 from planrunner.gap.evidence.noise_levels import HOLDS
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.noise_events import LARGEST, RATES
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
+from planrunner.gap.hypotheses.short_offsets import CHANCES, KEPT, LARGEST, LENGTHS, RATES
 from planrunner.plan.schedule import Rest, Spin
 
 TONE = Pattern("a tone", Sort.TONE, Factor.BAND)
@@ -61,7 +61,7 @@ class Outside:
 
     `log_bayes`: log Bayes factor of each pattern in each scope. `lines`: the strongest tone of each channel that shows a tone.
     `causes`: the tones in `lines` that count as separate causes. `events`: array of shape (Q,), log Bayes factor of events of the
-    noise at each rate (`noise_events.RATES`).
+    noise at each rate (`short_offsets.RATES`).
     """
 
     log_bayes: dict[Pattern, Array]
@@ -254,11 +254,8 @@ def _tone(powers: list[Array]) -> float:
 
 
 BURSTS = Pattern("bursts", Sort.BURSTS, Factor.TIME)
-LENGTHS = (1.0, 2.0, 4.0)  # s, lengths of the windows in which bursts are searched for
-CHANCES = (0.005, 0.02, 0.08)  # probability of a burst in a window
 ENERGIES = np.geomspace(4.0, 4000.0, 12)  # energies of a burst in one channel, in units of the noise
 FEWEST = 16  # smallest number of windows in segments of equal length, and of samples in a window
-KEPT = 0.5  # fraction of the energy of a shifted bias that must remain outside the coefficients
 _MEDIAN = 0.4549  # median of the square of a normal variable
 _DEVIATION = 0.6745  # median absolute value of a normal variable
 

@@ -1,4 +1,4 @@
-"""Describes a bias that differs for a few seconds at a time, at random times in a run.
+"""Describes a bias that differs for a few seconds at a time, at random times in a run, and the rare events in the noise.
 
 An offset of a few seconds changes the mean of its segment and the slow changes within it. The flexible patterns of these
 coefficients need one amplitude for each coefficient of the run. A few short offsets need only one amplitude each, so the evidence
@@ -7,20 +7,25 @@ for them from the same data is stronger. The part of such an offset that lies ou
 
 Every window of the run contains an offset with the same small probability. The windows are found one at a time: the best window is
 chosen, its offset is fitted, and the next window is evaluated on the remaining data. The result is the evidence of the chosen
-windows. It is therefore a lower limit of the evidence of all possible choices. Short offsets of independent channels and sizes are
-rare events of the noise (`hypotheses.noise_events`). They are found in the same way.
+windows. It is therefore a lower limit of the evidence of all possible choices.
+
+The noise of real sensors contains rare events, for example knocks. An event lasts for a few seconds. It appears in the coefficients as
+a short offset, or outside them as a burst (`hypotheses.outside`). Every hypothesis contains such events, so they are no evidence for a
+cause. Their times follow a Poisson process. The rate of this process is not known. Each event has its own size and channels,
+independently of the other events. A cause outside the catalogue differs from these events: it acts in the same channels each time, it
+may be larger, and it may recur more often. Events are found in the same way as short offsets.
 
 A window acts only on the m coefficients of its own segment. Therefore, whitened windows are never stored: the products of two of
 them follow from the m × m products of the whitened coefficients of a segment, and their products with a column y follow from Gᵀ·y,
 where G is the whitening matrix.
 
-In array shapes, S is the number of segments, M of coefficients of a channel, m of coefficients of a segment, W of windows, and q of
-basis vectors.
+In array shapes, S is the number of segments, M of coefficients of a channel, m of coefficients of a segment, W of windows, q of basis
+vectors, E of events, and Q of rates of events.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -31,11 +36,17 @@ from planrunner.base.arrays import Array
 from planrunner.gap.evidence.bayes_factors import averaged, from_eigen, log_mean_exp
 from planrunner.gap.evidence.weighing import Left
 from planrunner.gap.hypotheses.candidates import Weighing
-from planrunner.gap.hypotheses.noise_events import LARGEST, RATES, Events
-from planrunner.gap.hypotheses.outside import CHANCES, KEPT, LENGTHS
 from planrunner.gap.hypotheses.patterns import Factor, Pattern, Sort
 
 SHORT_OFFSETS = Pattern("offset for a few seconds", Sort.SEVERAL, Factor.TIME)
+LENGTHS = (1.0, 2.0, 4.0)  # s, lengths of the windows in which offsets and bursts are searched for
+CHANCES = (0.005, 0.02, 0.08)  # probability of an offset or a burst in a window
+KEPT = 0.5  # smallest fraction of the energy of an offset that must be left after the other parameters are fitted
+RATES = np.array([1e-5, 1e-4, 1e-3, 1e-2])
+"""Possible rates of events, 1/s: from one event in a day to one in 100 s. All are equally probable."""
+LARGEST = 50.0
+"""Nats, half the energy of an event of 10 standard deviations. A larger event does not count as noise, so an event has at most this
+evidence."""
 LONGER = 8.0  # s, length of further windows: an offset of such a window is too long for an event of the noise
 STEPS = 2  # number of windows that begin within the length of a window, as far as whole samples allow
 MOST = 16  # largest number of offsets that are fitted
@@ -47,6 +58,38 @@ LONGEST = (
 _AT_ONCE = 16  # number of segments whose coefficients are whitened together
 _ROUNDING = 1e-6  # s, by which events may last longer than allowed
 _NOTHING = 1e-9  # fraction of the largest energy of a window; smaller energies are rounding errors
+
+
+@dataclass(frozen=True)
+class Events:
+    """Contains the events that the coefficients show.
+
+    `gains`: array of shape (E,), log Bayes factor of each event, multiplied by the seconds in which it can begin (the sum over all
+    windows of the same kind is the duration of the run). `channels`: for each event, the indices of its channels. `seconds`: duration
+    of the run, s.
+    """
+
+    gains: Array
+    channels: tuple[frozenset[int], ...]
+    seconds: float
+
+    @property
+    def none(self) -> Array:
+        """Returns the log probability of no event at each rate, shape (Q,)."""
+        return np.asarray(-RATES * self.seconds)
+
+    def log_bayes(self, without: Collection[int] = ()) -> Array:
+        """Returns the log Bayes factor of the events at each rate, relative to noise without events, shape (Q,). Events in the channels
+        `without` do not count."""
+        used = np.array([own.isdisjoint(without) for own in self.channels], dtype=bool)
+        grown = np.log(RATES)[:, None] + self.gains[used]
+        return np.asarray(np.logaddexp(0.0, grown).sum(1) + self.none)
+
+
+def averaged_over_rates(log_bayes: Array) -> Array:
+    """Returns the log Bayes factor of noise with events of an unknown rate, shape (…). It is zero if noise without events is more
+    probable. `log_bayes`: array of shape (…, Q), sum of the log Bayes factors of the events in the coefficients and outside them."""
+    return np.asarray(np.maximum(log_mean_exp(log_bayes, -1), 0.0))
 
 
 @dataclass(frozen=True)
