@@ -42,7 +42,16 @@ def made(estimator: str, fault: bool, outliers: str = "exclude") -> Estimate | s
     return estimated(campaign, sound, replace(data, values=values))
 
 
-@pytest.mark.parametrize("estimator", [*EACH, pytest.param(ROCKING, marks=pytest.mark.slow)])
+LONG = (ROCKING, "strapdown_navigation at rest")
+
+
+@pytest.mark.parametrize(
+    "estimator",
+    [
+        *(name for name in EACH if name not in LONG),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in LONG),
+    ],
+)
 def test_one_bad_sample_moves_no_coefficient_by_a_tenth_of_its_uncertainty(estimator: str) -> None:
     """Of a platform: a sample in the first window of a run."""
     clean, spiked = made(estimator, False), made(estimator, True)

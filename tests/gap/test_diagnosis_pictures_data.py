@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.diagnosis import diagnose
+from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from tests.gap.turntable import DEG, GYRO_WHITE, record
 
 
@@ -21,7 +21,8 @@ def _ripple(
 
 def test_spectra_show_an_effect_before_and_none_after() -> None:
     """White noise of 0.0014 °/s·√s has the one-sided density √2 times that; the ripple lies at 0.1 to 0.5 Hz."""
-    found = diagnose(record(seed=31, fault=_ripple))
+    options = DiagnosisOptions(effects=("table_rate_ripple", "table_wobble", "gyro_scale_asymmetry"))
+    found = diagnose(record(seed=31, fault=_ripple), options)
     assert found.verdict.effects == ("table_rate_ripple",)
     density = GYRO_WHITE * np.sqrt(2) / DEG
     for name in ("gyro_x", "gyro_y", "gyro_z"):
