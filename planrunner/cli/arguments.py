@@ -109,6 +109,10 @@ def folder_to_verify(text: str) -> Path:
     return folder_argument(text, anew=True)
 
 
+def add_data(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--data", metavar="DIR", type=Path, help="folder that contains the recordings to play back")
+
+
 def add_archive(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "archive",

@@ -12,7 +12,7 @@ from planrunner.base.documents import JsonObject
 from planrunner.cli import exit_codes
 from planrunner.cli.arguments import whole_number
 from planrunner.cli.diagnose import add_nominal, add_recording, context_of, options_of, recorded_of
-from planrunner.cli.printing import name_file, print_findings, print_json, write_file
+from planrunner.cli.printing import print_findings, print_json, write_file, write_named
 from planrunner.cli.progress import reading_progress
 
 if TYPE_CHECKING:
@@ -60,8 +60,7 @@ def run(args: argparse.Namespace) -> int:
     if args.html is not None:
         from planrunner.reporting.diagnosis_page import render_page
 
-        write_file(args.html, render_page(context_of(closed.first, found, "")))
-        name_file(args.html, args.json)
+        write_named(args.html, render_page(context_of(closed.first, found, "")), args.json)
     if args.write_bench is not None:
         out = sys.stderr if args.json else sys.stdout
         if closed.bench:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from planrunner.cli import exit_codes
 from planrunner.cli.arguments import add_workers, workers_of
 from planrunner.cli.check import add_parameter
-from planrunner.cli.printing import print_findings, print_json, write_file
+from planrunner.cli.printing import print_findings, print_json, write_named
 from planrunner.estimators.interface import EstimationError
 from planrunner.plan.parameters import parameters_of
 from planrunner.plan.quantity import QuantityError, without_uncertainty
@@ -127,8 +127,7 @@ def _write(args: argparse.Namespace, study: Study) -> None:
     if args.html is not None:
         from planrunner.reporting.study_page import render_page
 
-        write_file(args.html, render_page(study))
-        print(args.html, file=out)
+        write_named(args.html, render_page(study), args.json)
     if args.write is not None:
         from planrunner.tasks.design import write_plan
 

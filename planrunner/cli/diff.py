@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
-from planrunner.cli.printing import print_json, write_file
+from planrunner.cli.printing import print_json, write_named
 
 DIFFERENT = 1
 """Exit code if there is a difference, as in diff(1)."""
@@ -51,8 +50,7 @@ def run(args: argparse.Namespace) -> int:
     if args.html is not None:
         from planrunner.reporting.difference_page import render_difference
 
-        write_file(args.html, render_difference(compared))
-        print(args.html, file=sys.stderr if args.json or args.markdown else sys.stdout)
+        write_named(args.html, render_difference(compared), args.json or args.markdown)
     if args.json:
         print_json(difference_json(compared))
     elif args.markdown:

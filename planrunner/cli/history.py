@@ -7,7 +7,7 @@ from pathlib import Path
 
 from planrunner.cli import exit_codes
 from planrunner.cli.arguments import add_index, add_runs_folder, opened_index, report_left_out
-from planrunner.cli.printing import name_file, print_json, print_line, write_file
+from planrunner.cli.printing import print_json, print_line, write_named
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,8 +48,7 @@ def run(args: argparse.Namespace) -> int:
     if args.html is not None:
         from planrunner.reporting.history_page import render_history
 
-        write_file(args.html, render_history(found))
-        name_file(args.html, args.json)
+        write_named(args.html, render_history(found), args.json)
     if args.json:
         print_json(found.to_json())
     else:

@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from planrunner.cli.arguments import add_workers, workers_of
+from planrunner.cli.arguments import add_data, add_workers, workers_of
 from planrunner.cli.printing import print_findings, print_json
 from planrunner.cli.suites import add_at
 from planrunner.tasks.check_suite import check_suite
@@ -15,7 +15,7 @@ from planrunner.tasks.check_suite import check_suite
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("suite", metavar="SUITE", help="suite file")
-    parser.add_argument("--data", metavar="DIR", type=Path, help="folder that contains the recordings to play back")
+    add_data(parser)
     parser.add_argument(
         "--runs",
         metavar="DIR",

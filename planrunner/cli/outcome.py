@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,11 +12,13 @@ from planrunner.base.findings import InputError
 from planrunner.cli import exit_codes
 from planrunner.cli.each_run import Done
 from planrunner.cli.printing import print_findings, print_json, print_line
+from planrunner.cli.progress import reading_progress
 
 if TYPE_CHECKING:
     from planrunner.estimators.results import Results
     from planrunner.execution.executor import Outcome
     from planrunner.reporting.verdict import Headline
+    from planrunner.tasks.check import Sound
     from planrunner.tasks.estimate import Analysis
 
 
@@ -70,16 +73,23 @@ def conclude(analysis: Analysis, *, as_json: bool) -> Done:
     return Done(code_of(analysis.results), found)
 
 
-def finish(analysis: Analysis, outcome: Outcome, *, as_json: bool, run: Path | None = None) -> int:
-    """Ends a command that made one run: prints its results and returns the exit code. A missing signature of the bench counts as a
-    fault, except if the results already cause another exit code. If the run measured the check standard of the bench, the function
-    also reports whether the standard is in control. `run`: the run folder; None if the results do not come from a run on a
-    bench."""
-    done = conclude(analysis, as_json=as_json)
+def evaluate(
+    folder: Path, outcome: Outcome, args: argparse.Namespace, checked: Sound | None = None, *, standard: bool = True
+) -> int:
+    """Ends a command that made one run: evaluates the run, prints its results and returns the exit code. A missing signature of the
+    bench counts as a fault, except if the results already cause another exit code. `args`: the arguments of `add_run_arguments`.
+    `checked`: the checked plan of the run; by default, the plan in the folder is checked. `standard`: True to report whether the check
+    standard of the bench is in control, if the run measured it."""
+    from planrunner.tasks.estimate import analyse_run
+
+    print_findings((*outcome.remarks, *outcome.unsigned))
+    with reading_progress(args.quiet) as notice:
+        analysis = analyse_run(folder, checked=checked, notice=notice)
+    done = conclude(analysis, as_json=args.json)
     unsigned = [finding.message for finding in (*outcome.unsigned, *analysis.unsigned)]
-    standard, in_control = ({}, True) if run is None else _check_standard(run)
-    if as_json:
-        print_json(done.found | ({"unsigned": unsigned} if unsigned else {}) | standard)
+    state, in_control = _check_standard(folder) if standard else ({}, True)
+    if args.json:
+        print_json(done.found | ({"unsigned": unsigned} if unsigned else {}) | state)
     return done.code or (exit_codes.FAULT if unsigned else exit_codes.DONE if in_control else exit_codes.LIMIT_FAILED)
 
 

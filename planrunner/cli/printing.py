@@ -176,6 +176,12 @@ def write_file(path: Path, text: str) -> None:
         raise _unwritable(path, error) from None
 
 
+def write_named(path: Path, text: str, as_json: bool) -> None:
+    """Writes a file that the user named, as `write_file` does, and prints its name, as `name_file` does."""
+    write_file(path, text)
+    name_file(path, as_json)
+
+
 def write_new(path: Path, text: bytes) -> None:
     """Writes a new file. If this fails, no part of the file remains. Raises `InputError`, for example if the file already exists."""
     try:

@@ -9,16 +9,17 @@ from planrunner.archive import pausing
 from planrunner.archive.verifying import open_run
 from planrunner.base.findings import COMMAND_LINE, InputError
 from planrunner.cli import exit_codes
+from planrunner.cli.arguments import add_data
 from planrunner.cli.operator import operator_of
-from planrunner.cli.outcome import finish, tell
-from planrunner.cli.printing import print_findings, print_json
-from planrunner.cli.progress import reading_progress, run_progress
+from planrunner.cli.outcome import evaluate, tell
+from planrunner.cli.printing import print_json
+from planrunner.cli.progress import run_progress
 from planrunner.cli.run import add_override, add_run_arguments, override_of
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run_folder", metavar="RUN", type=Path, help="run folder")
-    parser.add_argument("--data", metavar="DIR", type=Path, help="folder that contains the recordings to play back")
+    add_data(parser)
     parser.add_argument(
         "--retake",
         metavar="LABEL",
@@ -60,7 +61,6 @@ def run(args: argparse.Namespace) -> int:
         return exit_codes.DONE
     from planrunner.execution.stopping import StopRequest
     from planrunner.tasks import run as running
-    from planrunner.tasks.estimate import analyse_run
 
     retake = running.Retake(tuple(args.retake), args.reason) if args.retake else None
     with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:
@@ -78,7 +78,4 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)
-    print_findings((*outcome.remarks, *outcome.unsigned))
-    with reading_progress(args.quiet) as notice:
-        analysis = analyse_run(folder, notice=notice)
-    return finish(analysis, outcome, as_json=args.json, run=folder)
+    return evaluate(folder, outcome, args)

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from planrunner.base.documents import Json
 from planrunner.base.findings import InputError
-from planrunner.cli.arguments import SEED
+from planrunner.cli.arguments import SEED, add_data
 from planrunner.cli.check import add_parameter, sound_plan
 from planrunner.cli.operator import add_live_page, operator_of
-from planrunner.cli.outcome import finish, tell
+from planrunner.cli.outcome import evaluate, tell
 from planrunner.cli.printing import print_findings
 from planrunner.cli.progress import reading_progress, run_progress
 from planrunner.plan.run_information import gather
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_parameter(parser)
     parser.add_argument("--info", metavar="FILE", type=Path, help="run information as a YAML file of `name: value`")
-    parser.add_argument("--data", metavar="DIR", type=Path, help="folder that contains the recordings to play back")
+    add_data(parser)
     parser.add_argument("--seed", type=SEED, help="seed of a simulated bench (default: the bench's own)")
     parser.add_argument(
         "--flushed",
@@ -103,7 +103,6 @@ def run(args: argparse.Namespace) -> int:
     admission = _admission(args, sound, info)
     from planrunner.execution.stopping import StopRequest
     from planrunner.tasks import run as running
-    from planrunner.tasks.estimate import analyse_run
 
     with run_progress(args.quiet) as (progress, notify), StopRequest(notify) as stop:
         folder, outcome = running.start(
@@ -121,11 +120,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if not outcome.ok:
         return tell(folder, outcome, as_json=args.json)
-    print_findings((*outcome.remarks, *outcome.unsigned))
-    with reading_progress(args.quiet) as notice:
-        analysis = analyse_run(folder, checked=sound, notice=notice)
-    standard = sound.bench.check_standard
-    return finish(analysis, outcome, as_json=args.json, run=None if standard is None else folder)
+    return evaluate(folder, outcome, args, sound, standard=sound.bench.check_standard is not None)
 
 
 def _admission(args: argparse.Namespace, sound: Sound, info: Mapping[str, Json]) -> Admission | None:

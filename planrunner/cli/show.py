@@ -9,7 +9,7 @@ from pathlib import Path
 from planrunner.bench.model import safe_order
 from planrunner.cli import exit_codes
 from planrunner.cli.check import sound_plan
-from planrunner.cli.printing import name_file, print_json, write_file
+from planrunner.cli.printing import print_json, write_named
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,8 +39,7 @@ def run(args: argparse.Namespace) -> int:
             },
             warnings=tuple(finding.message for finding in sound.findings if finding.severity == "warning"),
         )
-        write_file(args.html, render_show(context))
-        name_file(args.html, args.json)
+        write_named(args.html, render_show(context), args.json)
     if args.json:
         from planrunner.reporting.show_page import show_json
 

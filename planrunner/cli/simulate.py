@@ -8,9 +8,9 @@ from pathlib import Path
 
 from planrunner.cli.arguments import SEED
 from planrunner.cli.check import add_parameter
-from planrunner.cli.outcome import finish, tell
+from planrunner.cli.outcome import evaluate, tell
 from planrunner.cli.printing import print_findings
-from planrunner.cli.progress import reading_progress, run_progress
+from planrunner.cli.progress import run_progress
 from planrunner.cli.run import add_new_runs, add_run_arguments
 from planrunner.plan.parameters import parameters_of
 from planrunner.plan.run_information import gather
@@ -44,7 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     from planrunner.execution.stopping import StopRequest
     from planrunner.tasks import run as running
-    from planrunner.tasks.estimate import analyse_run
     from planrunner.tasks.simulate import simulation
 
     made = simulation(args.plan, args.bench, args.effects, parameters_of(args.parameter))
@@ -65,9 +64,6 @@ def run(args: argparse.Namespace) -> int:
     out = sys.stderr if args.json else sys.stdout
     for line in made.words() or ["Nothing was added."]:
         print(f"added {line}" if made.additions else line, file=out)
-    print_findings((*outcome.remarks, *outcome.unsigned))
-    with reading_progress(args.quiet) as notice:
-        analysis = analyse_run(folder, checked=made.sound, notice=notice)
-    code = finish(analysis, outcome, as_json=args.json)
+    code = evaluate(folder, outcome, args, made.sound, standard=False)
     print(folder, file=out)
     return code

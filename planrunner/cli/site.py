@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from planrunner.cli.arguments import add_workers, folder_argument, report_left_out, workers_of
+from planrunner.cli.arguments import add_index, folder_argument, opened_index, report_left_out
 from planrunner.cli.printing import print_json
 from planrunner.cli.progress import reading_progress
 
@@ -15,21 +15,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "archive", metavar="ARCHIVE", type=folder_argument, help="folder that contains the run folders, or its URL"
     )
     parser.add_argument("out", metavar="OUT", type=Path, help="folder of the site: a new one, or a site to replace")
-    parser.add_argument("--index", metavar="INDEX", help="file or URL of the index (default: a file of this user)")
-    parser.add_argument("--no-refresh", action="store_true", help="use the index as it is, without reading new runs")
-    add_workers(parser, "number of processes that read the runs (default: one for each processor)")
+    add_index(parser)
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--quiet", action="store_true", help="no progress")
 
 
 def run(args: argparse.Namespace) -> int:
-    from planrunner.night.history.index import Index
     from planrunner.night.site import build_site
 
-    workers = workers_of(args, None)
-    with reading_progress(args.quiet) as notice, Index.open(args.archive, args.index) as index:
-        if not args.no_refresh:
-            index.refresh(notice=notice, workers=workers)
+    with opened_index(args, args.archive) as index, reading_progress(args.quiet) as notice:
         built = build_site(index, args.out, notice)
         faults = index.faults()
     if args.json:
