@@ -23,6 +23,7 @@ from planrunner.base.progress import Announce
 from planrunner.base.said import Said, said
 from planrunner.base.workers import ALONE, Workers
 from planrunner.estimators.declared_temperatures import NamesThermometer, thermometer_words
+from planrunner.estimators.drifts_within import FitsDrift, drift_within_words
 from planrunner.estimators.foresight import detection_of, patterns_of
 from planrunner.estimators.interface import (
     Estimate,
@@ -177,6 +178,7 @@ def _estimate(
         *rounded,
         *equal_outputs(counted, used),
         *transient_words(counted, used, sensor),
+        *(drift_within_words(counted, used, sensor) if isinstance(spec.parameters, FitsDrift) else ()),
         *lost_samples(chosen, sensor.sample_rate),
         *thermometer_words(chosen, spec.parameters),
         *thermometer_count_words(estimate, thermometer_counts(counted, _thermometer(spec.parameters), sensor)),

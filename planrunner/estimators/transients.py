@@ -62,7 +62,7 @@ def transient_words(
     for output in () if sensor.stabilised else sensor.outputs:
         if not varies(output) or (channels and output.name not in channels) or unit(output.unit).dimension in METERED:
             continue
-        having = [one for one in segments if output.name in one.parts and _constant(one, output)]
+        having = [one for one in segments if output.name in one.parts and constant_input(one, output)]
         if len(having) < _FEWEST:
             continue
         means = np.array([one.parts[output.name] for one in having])
@@ -142,7 +142,7 @@ def _of_several(
     ]
 
 
-def _constant(segment: RecordedSegment, output: OutputModel) -> bool:
+def constant_input(segment: RecordedSegment, output: OutputModel) -> bool:
     """Returns True if the input of an output is constant: at rest, or if the sensor turns about the axis of the output. A sensor that
     turns about another axis also turns relative to the Earth rate and to gravity."""
     motion, attitude = segment.segment.motion, segment.segment.attitude
