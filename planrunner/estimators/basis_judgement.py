@@ -452,9 +452,9 @@ def _too_small(fit: OutputsFit) -> list[FitNote]:
     return [
         FitNote(
             said(
-                "{output}: the residuals are significantly smaller than the noise within the segments permits, so they are "
-                "small by chance. Therefore, this noise determines the uncertainties of this output, with {freedom:.4g} "
-                "degrees of freedom.",
+                "{output}: the residuals are significantly smaller than the noise within the segments permits. Either they are "
+                "small by chance, or the segments have a change in common that looks like noise. Therefore, this noise "
+                "determines the uncertainties of this output, with {freedom:.4g} degrees of freedom.",
                 output=output,
                 freedom=noise.degrees_of_freedom,
             ),

@@ -236,7 +236,7 @@ def _jumped(
     """Returns a jump of the recording's clock if the noise does not explain the residuals of the fits without a drift (`plain`), but
     explains the residuals of fits with a drift in the time without this jump. This function is used if no drift in the recorded time
     is adopted. `matrix`: array of shape (n, p), the columns of the terms. `magnitudes`: array of shape (p,), their magnitudes."""
-    if not drift.jumps or explained_by_noise(plain, noises):
+    if not (drift.jumps and plain[0].degrees_of_freedom) or explained_by_noise(plain, noises):
         return None
     for jump in drift.jumps:
         chosen: tuple[DriftCourse, ...] = ()

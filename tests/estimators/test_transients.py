@@ -45,6 +45,17 @@ def estimated(
     return results.estimates["k"]
 
 
+def from_the_residuals(found: Estimate) -> dict[str, float]:
+    """The standard uncertainties of a straight line with equal weights, from its residuals alone."""
+    rates, residuals = (np.array([row[k] for row in found.tables[0].rows], dtype=float) for k in (1, 3))
+    scatter = float(np.sqrt(residuals @ residuals / (len(rates) - 2)))
+    square = float(np.sum((rates - rates.mean()) ** 2))
+    return {
+        "K_gyro_z": scatter / math.sqrt(square),
+        "F0_gyro_z": scatter * math.sqrt(1 / len(rates) + rates.mean() ** 2 / square),
+    }
+
+
 def named(found: Estimate) -> list[str]:
     return [text for text in found.warnings if "in a way that all segments have in common" in text]
 
@@ -59,13 +70,13 @@ SPOILT: list[tuple[str, Change, str]] = [
 
 @pytest.mark.parametrize(("change", "place"), [one[1:] for one in SPOILT], ids=[one[0] for one in SPOILT])
 def test_a_transient_of_all_segments_is_named(change: Change, place: str) -> None:
-    """The coefficients are far from the true values, and the residuals do not show it."""
+    """The coefficients are far from the true values, and the residuals do not show it. The transients also look like noise within
+    the segments, which can be the larger of the two."""
     found = estimated(change)
-    off = [
-        abs(found[name].value - true) / found[name].standard_uncertainty
-        for name, true in (("K_gyro_z", 200.0), ("F0_gyro_z", 3.0))
-    ]
-    assert max(off) > 30
+    by_residuals = from_the_residuals(found)
+    true = {"K_gyro_z": 200.0, "F0_gyro_z": 3.0}
+    assert max(abs(found[name].value - value) / by_residuals[name] for name, value in true.items()) > 30
+    assert max(abs(found[name].value - value) / found[name].standard_uncertainty for name, value in true.items()) > 4
     [text] = named(found)
     assert f"the {place} of the segments" in text
 
@@ -130,9 +141,11 @@ def several(found: Estimate) -> list[str]:
 
 def test_the_transients_of_a_filter_are_named() -> None:
     """They follow the steps of the rate and end after 3 s, so they are not the same function of the rate in all segments. The scale
-    factor is 4 standard uncertainties away, although these come from the residuals."""
+    factor is 12 standard uncertainties away if these come from the residuals. The noise within the segments, in which the transients
+    appear as well, makes them larger (decision 109)."""
     found = filtered(3.0, left_out=2.0)
-    assert abs(found["K_gyro_z"].value - 200.0) > 3 * found["K_gyro_z"].standard_uncertainty
+    assert abs(found["K_gyro_z"].value - 200.0) > 10 * from_the_residuals(found)["K_gyro_z"]
+    assert found["K_gyro_z"].degrees_of_freedom > 50
     [text] = several(found)
     assert "the beginnings of" in text and "of 7 segments" in text
 
