@@ -9,7 +9,8 @@ two bases of uncertainty answer different questions:
                      changes from segment to segment (switch-on, an incomplete model) are not included.
     residual         Only the proportions of V are used. The scatter of the segments about the model gives one common factor. Unstated
                      effects are included, but there are few degrees of freedom. The noise observed within the segments is a lower
-                     bound of the scatter. If the residuals are significantly smaller than this noise, the noise determines the factor and its degrees of freedom.
+                     bound of the scatter. If the residuals are significantly smaller than this noise, the noise determines the
+                     factor and its degrees of freedom.
 """
 
 from __future__ import annotations
@@ -145,8 +146,8 @@ class OutputsFit:
     def by_noise(self) -> NDArray[np.bool_]:
         """Returns True for each output whose residuals are significantly smaller than the noise within the segments (F-test with
         the level `SIGNIFICANCE`), shape (m,). The variance of a mean is at least the variance that this noise causes, so such
-        residuals are small by chance, or the segments have a change in common that looks like noise. The noise then gives the uncertainties and the degrees of freedom of the output, also for the
-        basis `residual`."""
+        residuals are small by chance, or the segments have a change in common that looks like noise. The noise then gives the
+        uncertainties and the degrees of freedom of the output, also for the basis `residual`."""
         m = len(self.fits)
         if not self.freedom or not all(noise.known for noise in self.noises):
             return np.zeros(m, dtype=np.bool_)
