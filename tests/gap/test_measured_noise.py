@@ -89,3 +89,12 @@ def test_a_fold_never_selects_an_effect_that_the_other_segments_do_not_show() ->
     alone = predictions(weighing, noise, [best], change)[1]
     together = predictions(weighing, noise, [pair], change)[1]
     assert 0 < np.linalg.norm(together) < 1.2 * np.linalg.norm(alone)
+
+
+def test_a_choice_needs_no_memory_for_channels_on_which_it_does_not_act() -> None:
+    """g-sensitivity acts on the gyros. Its columns of the accelerometers are one zero that is repeated (strides of 0)."""
+    weighing, choice = _weighed(_flickering(0.0, 4))
+    for own, raw in zip(weighing.observed.channels, choice.raw, strict=True):
+        assert raw.shape == choice.raw[0].shape
+        assert raw.any() == (own.kind == "gyro")
+        assert (raw.strides == (0, 0)) == (own.kind == "accel")

@@ -289,7 +289,7 @@ def choices_of(
     return [
         FoldChoice(
             effect,
-            tuple(np.hstack(blocks) for blocks in zip(*(form.raw for form in forms), strict=True)),
+            tuple(_compact(np.hstack(blocks)) for blocks in zip(*(form.raw for form in forms), strict=True)),
             whole.widths,
             probability * share,
             prior,
@@ -298,6 +298,12 @@ def choices_of(
         )
         for (forms, prior), share in zip(varied, shares, strict=True)
     ]
+
+
+def _compact(columns: Array) -> Array:
+    """Returns columns (M, p) unchanged, or an array of the same shape that needs no memory if all of them are zero. Many effects
+    act only on the gyros, or only on the accelerometers."""
+    return columns if columns.any() else np.broadcast_to(0.0, columns.shape)
 
 
 def whole_choices(
