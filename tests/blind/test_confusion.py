@@ -38,7 +38,6 @@ LATE = (
     "time_latency",
     "reference_latency",
     "gyro_axis_delay",
-    "gyro_angular_acceleration",
     "samples_dropped",
 )
 
@@ -158,8 +157,9 @@ def test_a_line_of_the_accelerometers_is_named(number: int, energy: float) -> No
     assert one.named == ("accel_line_interference",) and one.in_set
 
 
-def test_an_axis_that_is_late_is_no_delay_of_all() -> None:
-    one = one_of("axes late", "gyro_axis_delay", 0, 250.0)
+@pytest.mark.parametrize("effects", [pytest.param(LATE, id="alike"), AMONG_ALL])
+def test_an_axis_that_is_late_is_no_delay_of_all(effects: Sequence[str] | None) -> None:
+    one = one_of("axes late", "gyro_axis_delay", 0, 250.0, effects)
     assert one.named == ("gyro_axis_delay",) and one.in_set
 
 

@@ -156,8 +156,15 @@ def test_the_density_of_a_random_walk_agrees_within_its_uncertainty(walk: float,
     assert density.value < 2 * walk * 2e-4
 
 
-def test_what_is_not_in_the_catalogue_is_said_to_be() -> None:
-    found = diagnose(record(seed=14, fault=_offsets))
+@pytest.mark.parametrize(
+    "effects",
+    [
+        pytest.param((*OF_A_WALK, "gyro_bias_temperature", "gyro_warm_up", "mount_shift"), id="few"),
+        pytest.param(None, marks=pytest.mark.slow, id="all"),
+    ],
+)
+def test_what_is_not_in_the_catalogue_is_said_to_be(effects: tuple[str, ...] | None) -> None:
+    found = diagnose(record(seed=14, fault=_offsets), DiagnosisOptions(effects=effects))
     assert found.verdict.kind == "unknown"
     kinds = found.posterior.kinds
     assert max(kinds, key=lambda pattern: kinds[pattern]).name == "offset per segment"

@@ -594,7 +594,12 @@ CASES: dict[str, tuple[Write, str | None, str, str]] = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+SLOW = ("workbook without dates",)  # `test_workbook_recordings` reads workbooks with numbers
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
+)
 def test_time_units_and_axes_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str], case: str) -> None:
     write, time, gyro, accel = CASES[case]
     file, plan = write(tmp_path), tmp_path / "begun.yaml"
