@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import Diagnosis, DiagnosisOptions, diagnose
-from planrunner.gap.answer.next import FEWEST, SegmentProposal, propose
+from planrunner.gap.answer.next import FEWEST, SegmentProposal, _instruments, propose
 from planrunner.plan.schedule import Motion, Rest, Segment, Spin
-from tests.gap.turntable import DEG, Fault, G, _frames, record
+from tests.gap.turntable import DEG, GYRO_WHITE, Fault, G, _frames, record
 
 Array = np.ndarray
 EFFECTS = ("gyro_g_sensitivity", "gyro_scale_asymmetry", "table_tilt", "gyro_warm_up", "table_rate_error")
@@ -83,6 +85,15 @@ def test_where_nothing_helps_that_is_said(weak: Diagnosis) -> None:
     """Segments at rest cannot tell a scale error from none, however many."""
     found = _proposed(weak, _options(rates=()))
     assert found is None or not found.segments or found.probability < 0.9
+
+
+def test_a_second_triad_of_gyros_without_declared_noise_is_as_noisy_as_the_first() -> None:
+    """Without noise, a proposed instrument would give infinite information, and numpy would warn."""
+    whole = record(seed=31)
+    channels = tuple(replace(channel, white=0.0) for channel in whole.channels)
+    weighing = diagnose(replace(whole, channels=channels), DiagnosisOptions(effects=("gyro_warm_up",))).grounds.weighing
+    second = [channel for one in _instruments(weighing) for channel in one.channels]
+    assert [channel.white for channel in second] == pytest.approx([GYRO_WHITE] * 3, rel=0.1)
 
 
 def test_nothing_is_proposed_where_nothing_is_open() -> None:

@@ -706,7 +706,12 @@ def helpful(weighing: Weighing, rivals: Sequence[Rival], layout: Layout, options
 
 
 def _instruments(weighing: Weighing) -> list[_Instrument]:
-    gyros = [weighing.observed.channels[c] for c in weighing.observed.of_kind("gyro")]
+    # A gyro without declared noise is as noisy as measured.
+    measured = weighing.white / math.sqrt(weighing.observed.sample_rate)
+    gyros = [
+        replace(weighing.observed.channels[c], white=weighing.observed.channels[c].white or float(measured[c]))
+        for c in weighing.observed.of_kind("gyro")
+    ]
     accels = weighing.observed.of_kind("accel")
     found = [_Instrument("an autocollimator and a level on the table, accurate to one arc second", pointing=True)]
     if not accels:
