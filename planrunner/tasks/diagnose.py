@@ -351,8 +351,7 @@ def corrected_observation(
 ) -> tuple[Observed, tuple[WrongDeclaration, ...], Findings]:
     """Does the same as `observe`, but also returns the wrong declarations that were corrected. Raises `InputError` with all
     obstacles to a diagnosis."""
-    from planrunner.gap.evidence.recording_checks import check_observed, check_recording
-    from planrunner.gap.evidence.segment_checks import check_segments
+    from planrunner.gap.evidence.recording_checks import check_observed, check_recording, check_segments
     from planrunner.gap.hypotheses.declarations import attitude_read_otherwise, corrected, in_step
     from planrunner.observation.refusals import ObservationError
     from planrunner.observation.samples import observed, poses, unknown_orientations

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from planrunner.base.findings import Findings
 from planrunner.error_model.observed import Observed
-from planrunner.gap.evidence.segment_checks import check_segments, other_state, removed_means
+from planrunner.gap.evidence.recording_checks import check_segments, other_state, removed_means
 from planrunner.plan.schedule import Rest, Spin
 from tests.gap.turntable import DEG, Array, G, record
 
