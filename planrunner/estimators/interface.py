@@ -202,7 +202,8 @@ class Remark:
 
     `code`: code of the finding, such as `physics-release`; docs/findings.md lists all codes. `error`: True if the plan must not
     run. `note`: True if the remark only informs, so that the plan need not be changed. `conditions`: True if the remark explains
-    why the fit is ill-conditioned, so that the general message about this is not printed.
+    why the fit is ill-conditioned, so that the general message about this is not printed. `superfluous`: terms of an output, as pairs
+    of effect and column, without which the segments determine all other terms of this output. `keeps`: the other terms.
     """
 
     code: str
@@ -212,6 +213,8 @@ class Remark:
     error: bool = False
     conditions: bool = False
     note: bool = False
+    superfluous: tuple[tuple[str, str], ...] = ()
+    keeps: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,17 +4,28 @@ uncertainties and a budget."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
 
 from planrunner.base.findings import InputError, Mark
-from planrunner.error_model.effects.interface import Follows, FollowsSurroundings, PerOrientation, effect_named
+from planrunner.error_model.effects.interface import (
+    Follows,
+    FollowsSurroundings,
+    FollowsTemperature,
+    PerOrientation,
+    effect_named,
+)
 from planrunner.error_model.observed import orientation_key
+from planrunner.estimators.error_model.parameters import ErrorModelParameters
+from planrunner.estimators.foresight import design_of
+from planrunner.estimators.interface import Design, EstimationError
 from planrunner.plan import source
 from planrunner.plan.rewriting import appended
 from planrunner.plan.schedule import RecordedMotion, Rest, Segment, Spin
+from planrunner.plan.units import unit
 from planrunner.tasks.check import Checked, Document, Sound, check_plan
 from planrunner.tasks.simulate import additions_to, check_virtual, with_effects
 
@@ -31,7 +42,8 @@ ESTIMATE = "diagnosed"
 
 def plan_with_estimate(made: Diagnosed) -> Checked:
     """Adds an estimate to the plan of a diagnosis. For each output, this estimate contains the named effects and the terms that
-    the simulation of the output fits.
+    the simulation of the output fits. Terms that the segments do not determine or separate are left out, and a comment in the plan
+    names them.
 
     The result is a checked plan: its text is in `plan_bytes`, and the check shows whether the segments of the plan can separate the
     effects. Raises `InputError` if none of the named effects can be estimated.
@@ -42,7 +54,8 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
     if observed.along is not None:
         message = "the orientations are unknown, so no columns of effects are known"
         raise InputError.at(where, "gap-estimate", message, "use accelerometer_multi_position with gravity_magnitude")
-    effects = {name: effect_named(name) for name in (*made.diagnosis.grounds.nominal, *named)}
+    # Named effects come first: of terms that the segments do not separate, the last is left out.
+    effects = {name: effect_named(name) for name in dict.fromkeys((*named, *made.diagnosis.grounds.nominal))}
     outputs = _outputs(observed, effects)
     if not any(name in own for own in outputs.values() for name in named):
         why = "; ".join(f"{name}: {_why_not(effects[name], observed)}" for name in named)
@@ -54,13 +67,70 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
     if len(labels) < len(sound.schedule.segments):
         keys["segments"] = labels
     keys |= _channels(recorded, [effects[name] for name in named])
-    text = _with_estimate(source.decode(sound.plan_bytes, sound.file), {**keys, "outputs": outputs})
-    return check_plan(Document(text.encode(), sound.file), Document(sound.bench_bytes, sound.bench.origin.mark.file))
+    original = source.decode(sound.plan_bytes, sound.file)
+    bench = Document(sound.bench_bytes, sound.bench.origin.mark.file)
+    left_out: dict[str, list[str]] = {}
+    while True:
+        name, text = _with_estimate(original, {**keys, "outputs": outputs}, left_out)
+        checked = check_plan(Document(text.encode(), sound.file), bench)
+        if not _reduced(_design_as_recorded(checked, name, recorded), outputs, left_out):
+            return checked
+
+
+def _design_as_recorded(checked: Checked, name: str, recorded: Recorded) -> Design | None:
+    """Returns the design of an estimate on the segments of a plan. A temperature, supply voltage or pressure that the segments do
+    not state has its recorded mean, if the estimate names the channel. The result is None if the estimate is not valid."""
+    plan, sound = checked.plan, recorded.sound
+    spec = None if plan is None else plan.estimates.get(name)
+    if spec is None or not isinstance(spec.parameters, ErrorModelParameters):
+        return None
+    channels = {
+        "temperature": spec.parameters.temperature_channel,
+        "supply_voltage": spec.parameters.supply_channel,
+        "ambient_pressure": spec.parameters.pressure_channel,
+    }
+    found = {one.label: one for one in recorded.segments}
+    segments = []
+    for segment in sound.schedule.segments:
+        one = found.get(segment.label)
+        stated = segment.begins_at is not None
+        changes = {
+            key: unit(one.units[channel]).to_si(float(one.statistics.mean[one.statistics.of(channel)]))
+            for key, channel in channels.items()
+            if one is not None and channel in one.units
+            if not (stated if key == "temperature" else getattr(segment, key) is not None)
+        }
+        segments.append(replace(segment, **changes))
+    try:
+        return design_of(name, spec, segments, sound.models.site, sound.sensor, checked.designs, checked.setup)
+    except EstimationError:
+        return None
+
+
+def _reduced(design: Design | None, outputs: dict[str, list[str]], left_out: dict[str, list[str]]) -> bool:
+    """Removes the terms that the segments of a plan do not determine or separate from `outputs`, and enters them in `left_out`.
+    Returns False if there are none, or if no term of any output would remain. `design`: design of the estimate."""
+    found = [] if design is None else [one for one in design.remarks if one.superfluous]
+    changes = {one.key.removeprefix("outputs."): one for one in found}
+    if not changes or all(output in changes and not changes[output].keeps for output in outputs):
+        return False
+    for output, remark in changes.items():
+        out = {effect for effect, _ in remark.superfluous}
+        terms: list[str] = []
+        for effect, column in remark.keeps:
+            terms.append(f"{effect}.{column}" if effect in out else effect)
+        left_out.setdefault(output, []).extend(f"{effect}.{column}" for effect, column in remark.superfluous)
+        if terms:
+            outputs[output] = list(dict.fromkeys(terms))
+        else:
+            del outputs[output]
+    return True
 
 
 def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object]:
-    """Returns the keys of an estimate that name the channels of supply voltage and ambient pressure, if effects depend on these
-    quantities. The channels are those that the diagnosis used."""
+    """Returns the keys of an estimate that name the channels of temperature, supply voltage and ambient pressure, if effects depend
+    on these quantities. The channels are those that the diagnosis used. A temperature channel is named only if a segment states no
+    temperature."""
     from planrunner.tasks.diagnose import only_channel
 
     followed = {effect.follows for effect in effects if isinstance(effect, FollowsSurroundings)}
@@ -72,6 +142,11 @@ def _channels(recorded: Recorded, effects: Sequence[Effect]) -> dict[str, object
         channel = only_channel(units, dimension) if follows in followed else None
         if channel is not None:
             found[key] = channel
+    unstated = any(one.segment.temperature is None and one.segment.ramp_to is None for one in recorded.segments)
+    if unstated and any(isinstance(effect, FollowsTemperature) for effect in effects):
+        channel = only_channel(units, "temperature")
+        if channel is not None:
+            found["temperature_channel"] = channel
     return found
 
 
@@ -158,20 +233,34 @@ def _outputs(observed: Observed, effects: Mapping[str, Effect]) -> dict[str, lis
     return {name: own for name, own in found.items() if own}
 
 
-def _with_estimate(text: str, entry: Mapping[str, object]) -> str:
-    """Returns the text of the plan with one more estimate after the others, written in the same style."""
+def _with_estimate(text: str, entry: Mapping[str, object], left_out: Mapping[str, Sequence[str]]) -> tuple[str, str]:
+    """Returns the name of one more estimate, and the text of the plan with this estimate after the others, written in the same
+    style. `left_out`: for each output, terms that a comment names as left out."""
     root = yaml.compose(text)
     assert isinstance(root, yaml.MappingNode)  # a plan that was read
     nodes = {key.value: value for key, value in root.value}
     estimates = nodes.get("estimates")
     if not isinstance(estimates, yaml.MappingNode) or not estimates.value:
-        return f"{text.rstrip()}\n\nestimates:\n  {_block(ESTIMATE, entry, 2)}\n"
+        return ESTIMATE, f"{text.rstrip()}\n\nestimates:\n  {_comment(left_out, 2)}{_block(ESTIMATE, entry, 2)}\n"
     taken = {key.value for key, _ in estimates.value}
     name = next(one for one in (ESTIMATE, *(f"{ESTIMATE}_{k}" for k in range(2, 1000))) if one not in taken)
     column = estimates.start_mark.column
-    more = f"{name}: {_flow(entry)}" if estimates.flow_style else _block(name, entry, column)
+    more = (
+        f"{name}: {_flow(entry)}" if estimates.flow_style else _comment(left_out, column) + _block(name, entry, column)
+    )
     at, written = appended(text, estimates, more, estimates.value[-1][1])
-    return text[:at] + written + text[at:]
+    return name, text[:at] + written + text[at:]
+
+
+def _comment(left_out: Mapping[str, Sequence[str]], column: int) -> str:
+    """Returns comment lines about the terms that are left out; empty if there are none. The first line begins at the given column."""
+    pad = "\n" + " " * column
+    lines = [f"#   {output}: {', '.join(terms)}" for output, terms in left_out.items()]
+    return (
+        "".join(line + pad for line in ("# Left out, because the segments do not determine these terms:", *lines))
+        if lines
+        else ""
+    )
 
 
 def _block(name: str, entry: Mapping[str, object], column: int) -> str:

@@ -120,12 +120,13 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         remarks: list[Remark] = []
         only_recorded: dict[str, None] = {}
         unknown = [segment.label for segment in request.segments if isinstance(segment.motion, RecordedMotion)]
+        heated = _heated(request)
         for group in _planned(request):
             if unknown:  # effects and outputs are valid; only the recording shows whether it determines the amplitudes
                 continue
             its_own = replace(request, segments=tuple(request.segments[row] for row in group.rows))
             for one in group.outputs:
-                if quantities := _only_recorded(one, request):
+                if quantities := _only_recorded(one, request, heated):
                     only_recorded |= dict.fromkeys(quantities)
                     continue
                 made = planned_blocks(its_own, [one.name], one.names, one.columns.matrix, one.columns.magnitudes)
@@ -153,7 +154,8 @@ class ErrorModelEstimator(Method[ErrorModelParameters, ModelQuantities]):
         parts = [(one, part) for one in outputs if (part := shaped_part(one)) is not None]
         unstated = dict.fromkeys(name for one in outputs for name in _unstated(one, request.parameters))
         moved = any(isinstance(segment.motion, RecordedMotion) for segment in request.segments)
-        only_recorded = dict.fromkeys(name for one in outputs for name in _only_recorded(one, request))
+        heated = _heated(request)
+        only_recorded = dict.fromkeys(name for one in outputs for name in _only_recorded(one, request, heated))
         if not parts and not unstated and not moved and not only_recorded:
             return by_expectation(self, request)
         reasons = [f"the shape of {part.effect.id} is only known from a recording" for _, part in parts]
@@ -276,6 +278,22 @@ def _unstated(one: ModelledOutput, parameters: ErrorModelParameters) -> list[str
     return [name for name in shaped if name not in parameters.expected]
 
 
+def _heated(request: DesignRequest[ErrorModelParameters]) -> dict[str, Array]:
+    """Returns the columns of each output for segments at different temperatures, if only a channel of the recording shows the
+    temperature; otherwise nothing. If these columns differ from the planned columns, the output depends on the temperature."""
+    if request.parameters.temperature_channel is None or any(one.begins_at is not None for one in request.segments):
+        return {}
+    warm = tuple(
+        replace(one, temperature=ZERO_CELSIUS + k % 3 * _WARMER) for k, one in enumerate(request.segments, start=1)
+    )
+    groups = _planned(replace(request, segments=warm))
+    return {one.name: one.columns.matrix for group in groups for one in group.outputs}
+
+
+_WARMER = 10.0
+"""Temperature difference, K, between assumed segments."""
+
+
 def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ...]:
     start = np.array([one.start for one in request.segments])
     seconds = np.array([one.dwell or 1.0 for one in request.segments])
@@ -286,9 +304,11 @@ def _planned(request: DesignRequest[ErrorModelParameters]) -> tuple[Together, ..
     return models(request.parameters, units, request.sensor, request.segments, request.site, states, samples)
 
 
-def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParameters]) -> list[str]:
+def _only_recorded(
+    one: ModelledOutput, request: DesignRequest[ErrorModelParameters], heated: Mapping[str, Array]
+) -> list[str]:
     """Returns the quantities that the effects on an output need but that no segment states. Only a channel of the recording shows
-    these quantities."""
+    these quantities. `heated`: columns of outputs at other temperatures (`_heated`)."""
     channels = {
         Follows.SUPPLY: request.parameters.supply_channel,
         Follows.PRESSURE: request.parameters.pressure_channel,
@@ -298,7 +318,10 @@ def _only_recorded(one: ModelledOutput, request: DesignRequest[ErrorModelParamet
         Follows.PRESSURE: any(segment.ambient_pressure is not None for segment in request.segments),
     }
     followed = (part.effect.follows for part in one.errors.chosen if isinstance(part.effect, FollowsSurroundings))
-    return [name.value for name in dict.fromkeys(followed) if channels[name] is not None and not stated[name]]
+    surroundings = [name.value for name in dict.fromkeys(followed) if channels[name] is not None and not stated[name]]
+    warm = heated.get(one.name)
+    follows = warm is not None and not np.allclose(warm, one.columns.matrix, rtol=1e-9, atol=0.0)
+    return [*(["temperature"] if follows else []), *surroundings]
 
 
 def _reversed_meters(request: EstimateRequest[ErrorModelParameters]) -> list[Said]:
@@ -372,7 +395,19 @@ def _inseparable(one: ModelledOutput, segments: Sequence[Segment]) -> list[Remar
     where = f"rank {seen.rank} of {len(amplitudes)} from {len(segments)} segments"
     message = f"cannot identify {', '.join(names)} of {one.name} ({where}): {rank.explain(seen.null, one.names)}"
     hint = f"leave terms out, or record segments that show them ({'; '.join(wanted)})" if wanted else "leave terms out"
-    return [Remark("physics-rank", message, hint, f"outputs.{one.name}", error=True)]
+    last = {combination[-1][0] for combination in rank.combinations(seen.null, one.names)}
+    terms = [((item.effect.id, item.name), name in last) for item, name in zip(amplitudes, one.names, strict=True)]
+    return [
+        Remark(
+            "physics-rank",
+            message,
+            hint,
+            f"outputs.{one.name}",
+            error=True,
+            superfluous=tuple(term for term, out in terms if out),
+            keeps=tuple(term for term, out in terms if not out),
+        )
+    ]
 
 
 def _shares(one: ModelledOutput, segments: Sequence[Segment]) -> Array:
