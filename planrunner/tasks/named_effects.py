@@ -84,23 +84,25 @@ def _design_as_recorded(checked: Checked, name: str, recorded: Recorded) -> Desi
     spec = None if plan is None else plan.estimates.get(name)
     if spec is None or not isinstance(spec.parameters, ErrorModelParameters):
         return None
-    channels = {
-        "temperature": spec.parameters.temperature_channel,
-        "supply_voltage": spec.parameters.supply_channel,
-        "ambient_pressure": spec.parameters.pressure_channel,
-    }
-    found = {one.label: one for one in recorded.segments}
-    segments = []
-    for segment in sound.schedule.segments:
+    parameters, found = spec.parameters, {one.label: one for one in recorded.segments}
+
+    def mean(segment: Segment, channel: str | None, stated: float | None) -> float | None:
         one = found.get(segment.label)
-        stated = segment.begins_at is not None
-        changes = {
-            key: unit(one.units[channel]).to_si(float(one.statistics.mean[one.statistics.of(channel)]))
-            for key, channel in channels.items()
-            if one is not None and channel in one.units
-            if not (stated if key == "temperature" else getattr(segment, key) is not None)
-        }
-        segments.append(replace(segment, **changes))
+        if stated is not None or channel is None or one is None or channel not in one.units:
+            return stated
+        return unit(one.units[channel]).to_si(float(one.statistics.mean[one.statistics.of(channel)]))
+
+    segments = [
+        replace(
+            segment,
+            temperature=segment.temperature
+            if segment.begins_at is not None
+            else mean(segment, parameters.temperature_channel, None),
+            supply_voltage=mean(segment, parameters.supply_channel, segment.supply_voltage),
+            ambient_pressure=mean(segment, parameters.pressure_channel, segment.ambient_pressure),
+        )
+        for segment in sound.schedule.segments
+    ]
     try:
         return design_of(name, spec, segments, sound.models.site, sound.sensor, checked.designs, checked.setup)
     except EstimationError:
