@@ -13,6 +13,7 @@ from scipy.stats import binom
 from planrunner.error_model.effects.interface import effect_named
 from planrunner.error_model.effects.table import TableAzimuth
 from planrunner.error_model.observed import Observed
+from planrunner.gap.answer import sets
 from planrunner.gap.answer.closure import predictions
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
 from planrunner.gap.answer.sets import sets_of
@@ -91,6 +92,36 @@ def test_a_limited_output_does_not_show_another_effect() -> None:
         energy = (pair.weighed.raw[channel][:, columns] ** 2).sum(axis=1)
         assert energy[cut].max(initial=0.0) < 1e-8 * energy[~cut].max()
     assert seen > 0
+
+
+def test_a_set_is_evaluated_again_only_while_its_evidence_increases(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A limit in one direction, which is not among the hypotheses: no set of effects explains it, so the amplitudes do not converge."""
+    exact = record(seed=5, sampling=SAMPLING, clean=True)
+    recorded = _noisy(exact, exact.values, 5)
+    recorded.values[:, :3] = np.minimum(recorded.values[:, :3], 60 * DEG)
+    courses: list[list[float]] = []
+    acting, evaluated = sets._acting_on_others, sets._evaluated
+
+    def noted(weighing: Weighing, one: sets.EffectSet) -> sets.EffectSet:
+        courses.append([])
+        return acting(weighing, one)
+
+    def with_evidence(weighing: Weighing, members: tuple[sets.Member, ...]) -> sets.EffectSet:
+        found = evaluated(weighing, members)
+        if courses:
+            courses[-1].append(found.evidence)
+        return found
+
+    monkeypatch.setattr(sets, "_acting_on_others", noted)
+    monkeypatch.setattr(sets, "_evaluated", with_evidence)
+    weighing = Weighing(recorded)
+    effects = [effect_named(f"gyro_{name}") for name in ("dead_zone", "soft_saturation", "scale_asymmetry")]
+    candidates = candidates_of(weighing, effects)
+    for pair in [sets.evaluated(weighing, [one, candidates[2]]) for one in candidates[:2]]:
+        sets._acting_on_others(weighing, pair)
+    assert max(map(len, courses)) > 1
+    for course in courses:
+        assert (np.diff(course)[:-1] > 0).all()
 
 
 def test_a_lag_beside_another_effect_has_no_amplitude() -> None:

@@ -50,6 +50,7 @@ WORTHWHILE = float(np.log(100.0))  # a set that is less probable than a smaller 
 MATTERS = 12.0  # nats; a setting of the noise that is less probable than the best setting by more than this is omitted
 PAIR_ENERGIES = np.geomspace(0.5, 1e6, 15)
 _ROUNDS = 4  # number of evaluations of an effect on the output together with other effects
+_GROWN = 0.1  # nats; a smaller increase of the evidence counts as no increase
 _SAME = 0.1  # an amplitude counts as unchanged if it changes by less than this number of standard uncertainties
 
 
@@ -307,14 +308,14 @@ def _around(weighing: Weighing, one: EffectSet, member: Member, effect: Curved) 
 def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
     """Evaluates a strong effect on the output again, at an output that contains the other effects of the set. The other effects are
     evaluated as they appear in the output after this effect; a limit, for example, may hide them. This is more exact than the sum
-    of the effects. The result is therefore rejected only if it is clearly less likely than this sum. A set with two such effects is
-    returned unchanged."""
+    of the effects. The result is therefore rejected only if it is clearly less likely than this sum. The evaluation is repeated
+    with the new amplitudes as long as the evidence increases. A set with two such effects is returned unchanged."""
     acting = [(k, on_output(m.candidate.effect)) for k, m in enumerate(one.members) if m.form.held]
     number, effect = next(((k, effect) for k, effect in acting if effect is not None), (0, None))
     if effect is None or sum(acts is not None for _, acts in acting) > 1:
         return one
     best, before = one, np.full(len(one.weighed.score[0]) - 1, np.inf)
-    least = one.evidence - WORSE
+    least, reached = one.evidence - WORSE, -np.inf
     for _ in range(_ROUNDS):
         own = one.columns(effect.id)
         amplitudes, covariance = weighing.amplitudes(one.weighed, walking=False)
@@ -338,8 +339,12 @@ def _acting_on_others(weighing: Weighing, one: EffectSet) -> EffectSet:
         if any(member.form.trace <= 0 for member in members):
             break
         one = replace(_evaluated(weighing, tuple(members)), on_others=(number, acted))
+        grown = one.evidence > reached + _GROWN
+        reached = max(reached, one.evidence)
         if one.evidence > (least if best.on_others is None else best.evidence):
             best = one
+        if not grown:
+            break
     return best
 
 

@@ -314,16 +314,23 @@ def whole_forms(
     `near`: a form from which the search starts, None if no form is known. `columns`: columns, with samples, of other effects whose
     amplitudes are not known exactly. `reached`: log evidence of another effect that leaves only noise, −∞ if there is none. If the
     effect explains far less, the search for its shape ends early."""
+    return _around_the_best(weighing, effect, near, columns, reached)[0]
+
+
+def _around_the_best(
+    weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column], reached: float = -np.inf
+) -> tuple[list[tuple[Weighed, float]], Sequence[Array]]:
+    """Does the same as `whole_forms`. Also returns the nominal parameters (q,) of each channel with which the shape was found."""
     short, columns = (weighing, columns) if on_output(effect) is None else weighing.condensed(columns)
     found = _found(short.without_walks(), effect, near, columns, reached)
     around = found.shape * np.exp(found.sigma * np.linspace(-_SPAN, _SPAN, _FORMS))
     variants = short.reduced([replace(effect.at(found.seen, float(value)), fixed=(0,))] for value in around)
     forms = weighing.weigh_reduced(variants)
     if max(_evidence(weighing, form) for form in forms) < weighing.evidence(np.zeros(len(weighing.base))) + _TOLD:
-        return []
+        return [], found.values
     each = np.array([_evidence(found.along, form) for form in found.along.weigh_reduced(variants)])
     share = np.exp(each - each.max())
-    return list(zip(forms, (share / share.sum()).tolist(), strict=True))
+    return list(zip(forms, (share / share.sum()).tolist(), strict=True)), found.values
 
 
 @dataclass(frozen=True)
@@ -343,14 +350,17 @@ def _found(
     weighing: Weighing, effect: Shaped, near: Weighed | None, columns: Sequence[Column], reached: float
 ) -> _Found:
     """Searches for the most probable shape and fits the nominal parameters. If an effect acts on the output, a first search uses few
-    samples of each turn of the table (`Weighing.of_turns`). The exact search then begins at the result. `reached`: the same as in
+    samples of each turn of the table (`Weighing.of_turns`). The exact search then begins at the result. It takes only one step if
+    far more than noise remains, because the approximation then contributes nothing to what remains. `reached`: the same as in
     `whole_forms`."""
     few, of_few = (weighing, columns) if on_output(effect) is None else weighing.of_turns(columns)
     found = _search(few, effect, near, of_few, reached)
     if few is weighing:
         return found
     (best,) = weighing.weigh([effect.at(weighing.seen(found.values), found.shape)])
-    steps = 1 if _evidence(weighing, best) < reached - _FAR else _STEPS_BESIDE
+    taken = [raw[:, 0] for raw in best.raw]
+    hopeless = _excess(weighing, found.values, taken) > 2 * _FAR or _evidence(weighing, best) < reached - _FAR
+    steps = 1 if hopeless else _STEPS_BESIDE
     return _alternated(weighing, effect, best, found.values, columns, steps, widths=_WIDTHS[-1:])[1]
 
 
@@ -379,10 +389,16 @@ def _search(
 def _only_noise(weighing: Weighing, values: Sequence[Array], taken: Sequence[Array]) -> bool:
     """Returns True if the coefficients minus an effect and the nominal outputs are not larger than noise. `values`, `taken`: for each
     channel, the values (q,) of the nominal parameters, and the coefficients (M,) that the effect causes."""
-    rest = sum(weighing.misfits(values, taken))
+    return _excess(weighing, values, taken) <= 0.0
+
+
+def _excess(weighing: Weighing, values: Sequence[Array], taken: Sequence[Array]) -> float:
+    """Returns by how much the sum of the squared residuals, in units of the noise, exceeds the largest usual value of noise. The
+    arguments are the same as in `_only_noise`."""
+    rest = float(sum(weighing.misfits(values, taken)))
     fitted = sum(len(own) for own in values) + sum(one.shape[1] for one in weighing.angles)
     degrees = float(weighing.spectrum.values.size - fitted)
-    return bool(rest <= degrees + _SCATTERED * np.sqrt(2 * degrees))
+    return rest - degrees - _SCATTERED * float(np.sqrt(2 * degrees))
 
 
 def _beside(
@@ -522,12 +538,12 @@ def on_others(
     samples. `amplitudes`: array of shape (P,), amplitudes of these columns, in units of `Column.magnitude`."""
     short, of_others = weighing.condensed(columns)
     beneath = short.with_known(of_others, amplitudes)
-    forms = whole_forms(beneath, effect, form, of_others)
+    forms, values = _around_the_best(beneath, effect, form, of_others)
     if not forms:
         return None
     best, _ = max(forms, key=lambda one: one[1])
     shape, taken = float(best.variant.shape or 0.0), [raw[:, 0] for raw in best.raw]
-    point = operating_point(beneath, effect, shape, taken)
+    point = operating_point(beneath, effect, shape, taken, values=values)
     others = passed_on(short, effect, shape, beneath.seen(point.values), of_others)
     shown = [
         (without - passed) @ amplitudes
@@ -631,16 +647,20 @@ def operating_point(
     shape: float,
     taken: Sequence[Array] | None = None,
     amplitude: float = 1.0,
+    values: Sequence[Array] | None = None,
 ) -> OperatingPoint:
     """Computes how an effect on the output changes with the nominal parameters.
 
     `shape`, `amplitude`: shape and amplitude of the effect. `taken`: for each channel, the coefficients (M,) that the effect
     causes, or None. If `taken` is given, the nominal parameters are fitted together with the effect; otherwise, they are fitted
-    without the effect.
+    without the effect. `values`: for each channel, nominal parameters (q,) near the result, None if they are not known.
     """
-    values = weighing.nominal_values(taken)
-    if taken is not None:
-        values = settled(weighing, effect, shape, values, amplitude)
+    if values is not None:
+        values = settled(weighing, effect, shape, values, amplitude, _WIDTHS[-1:])
+    else:
+        values = weighing.nominal_values(taken)
+        if taken is not None:
+            values = settled(weighing, effect, shape, values, amplitude)
     change = _changes(weighing, effect, shape, weighing.seen(values), amplitude, _steps(weighing))
     return OperatingPoint(tuple(values), tuple(weighing.whole), tuple(change))
 
