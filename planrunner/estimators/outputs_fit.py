@@ -70,7 +70,7 @@ class OutputsFit:
     P, n), derivatives of the coefficients of all P columns with respect to the observations. `all_cofactors`: for each basis, an
     array of shape (m, P, m, P), the covariance of the coefficients of all P columns without the variance factors. `within`: number
     of observations at the end that are not means of segments (`Observations`). `unstated`: effects of unknown size, each described
-    for a size of one unit. The fit does not include them.
+    for a size of one unit. The fit does not include them. `moving`: as in `Observations`.
     """
 
     outputs: tuple[str, ...]
@@ -92,6 +92,7 @@ class OutputsFit:
     within: int = 0
     unstated: tuple[CorrelatedError, ...] = ()
     names: tuple[str, ...] = ()
+    moving: bool = False
 
     @property
     def columns(self) -> Array:
@@ -147,9 +148,10 @@ class OutputsFit:
         """Returns True for each output whose residuals are significantly smaller than the noise within the segments (F-test with
         the level `SIGNIFICANCE`), shape (m,). The variance of a mean is at least the variance that this noise causes, so such
         residuals are small by chance, or the segments have a change in common that looks like noise. The noise then gives the
-        uncertainties and the degrees of freedom of the output, also for the basis `residual`."""
+        uncertainties and the degrees of freedom of the output, also for the basis `residual`. If the segments contain motion, their
+        scatter is no bound, because the motion is a part of it."""
         m = len(self.fits)
-        if not self.freedom or not all(noise.known for noise in self.noises):
+        if self.moving or self.within or not self.freedom or not all(noise.known for noise in self.noises):
             return np.zeros(m, dtype=np.bool_)
         noise = np.array([one.degrees_of_freedom for one in self.noises])
         own = np.full(m, self.pooled_freedom if self.pooled else float(self.freedom))
@@ -352,6 +354,7 @@ def fit_outputs(
         observations.within,
         tuple(unstated),
         tuple(names),
+        observations.moving,
     )
 
 

@@ -18,6 +18,7 @@ from planrunner.base.findings import closest
 from planrunner.instruments.interfaces import Block
 from planrunner.instruments.models import NoiseModel, SensorModel
 from planrunner.observation.refusals import EstimationError, UnfitDataError
+from planrunner.plan.schedule import Rest, Spin
 
 _LEAST = 0.01  # smallest fraction of the scatter within a segment that counts as white noise
 _FEW = 20  # degrees of freedom up to which the correlation of means is poorly known
@@ -37,7 +38,8 @@ class Observations:
     the means contain no noise, and the standard errors follow from the declared noise. `share`: array of shape (n,), fraction of
     the samples of each segment that are used; None if all are used. `courses`: for each of the n segments, the functions of its
     motion that are fitted together with its mean (`Statistics.course`); None without motion. `within`: number of observations at
-    the end that are not means but contrasts within segments. The standard errors of the contrasts are known.
+    the end that are not means but contrasts within segments. The standard errors of the contrasts are known. `moving`: True if
+    the motion of a segment changes the outputs, so that their scatter within the segment is not only noise.
     """
 
     channels: tuple[str, ...]
@@ -53,6 +55,7 @@ class Observations:
     share: Array | None = None
     courses: tuple[Array, ...] | None = None
     within: int = 0
+    moving: bool = False
 
     @property
     def of_means(self) -> Observations:
@@ -166,6 +169,7 @@ def observe(segments: Sequence[RecordedSegment], channels: Sequence[str], sensor
         all(recorded.expected for recorded in segments),
         np.array([recorded.share for recorded in segments]),
         tuple(recorded.statistics.course for recorded in segments),
+        moving=not all(isinstance(recorded.segment.motion, Rest | Spin) for recorded in segments),
     )
 
 
