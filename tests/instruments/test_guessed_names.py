@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from planrunner.instruments.formats.guessing import guessed_format
 from planrunner.instruments.formats.text import TextKeys
+from tests.in_process import planrunner
 
 SIX = "gx,gy,gz,ax,ay,az"
 VALUES = "0.1,0.2,0.3,0.01,0.02,1.0"
@@ -64,3 +66,21 @@ def test_a_first_column_without_a_name_is_left_without(tmp_path: Path, names: st
 )
 def test_a_line_above_the_names(tmp_path: Path, header: str, names: tuple[str, ...]) -> None:
     assert names_of(tmp_path, header, [f"{k / 100:.2f},0.1,0.2,1.0" for k in range(20)]) == names
+
+
+def test_a_column_named_by_milliseconds_and_text_in_utf_16_without_a_mark(tmp_path: Path) -> None:
+    """200 rows of 10 ms; at 10 s a row, the recording would take half an hour."""
+    draw = np.random.default_rng(1)
+    rows = [f"{10 * k}," + ",".join(f"{v:.5f}" for v in (*draw.normal(0, 0.1, 5), 9.81)) for k in range(200)]
+    text = "\n".join([f"msec,{SIX}", *rows, ""])
+    file = tmp_path / "r.csv"
+    file.write_bytes(text.encode("utf-16-le"))
+    found = guessed_format(file, "r.csv")
+    assert found is not None and found.parameters == TextKeys(separator="comma", encoding="utf-16-le")
+    for encoding in ("utf-8", "utf-16-le"):
+        file.write_bytes(text.encode(encoding))
+        assert planrunner("new", "p", "--from-recording", "r.csv", cwd=tmp_path).returncode == 0
+        assert "time: {column: msec, unit: ms}" in (tmp_path / "p.bench.yaml").read_text(encoding="utf-8")
+        assert planrunner("check", "p.yaml", "--data", ".", cwd=tmp_path).returncode == 0
+        for made in tmp_path.glob("p.*"):
+            made.unlink()

@@ -80,8 +80,8 @@ _SENSED_IN = {
 }
 _TIME_UNITS = (
     (re.compile(r"nano|[_( \[]ns", re.IGNORECASE), "ns"),
-    (re.compile(r"micro|[_( \[][uµ]s", re.IGNORECASE), "us"),
-    (re.compile(r"milli|[_( \[]ms", re.IGNORECASE), "ms"),
+    (re.compile(r"micro|[_( \[][uµ]s|^usecs?$", re.IGNORECASE), "us"),
+    (re.compile(r"milli|[_( \[]ms|^msecs?$", re.IGNORECASE), "ms"),
     (re.compile(r"second|sekunde|[_( \[]s(?:[^a-z]|$)|(?:^|[^a-z])sow(?:[^a-z]|$)", re.IGNORECASE), "s"),
 )
 _COUNTERS = ((re.compile(r"SampleTimeFine"), 10_000.0),)  # Xsens MT Low-Level Communication Protocol: counts per second
@@ -255,7 +255,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
             start = file.read(MAX_HEADER)
     refused = next(((what, advice) for what, magic, advice in _REFUSED if start.startswith(magic)), None)
     recognised = _recognised(start)
-    utf_16 = start.startswith((b"\xff\xfe", b"\xfe\xff"))
+    marked = start.startswith((b"\xff\xfe", b"\xfe\xff"))
+    utf_16 = marked or _is_utf_16(start)
     if packed and (refused or recognised or (b"\0" in start and not utf_16)):
         raise InstrumentError(f"{name} is a compressed file, but contains no table of text: unpack it first (gzip)")
     if refused:
@@ -263,7 +264,8 @@ def guessed_format(path: Path, name: str) -> Format | None:
     if recognised:
         return recognised
     if utf_16:
-        keys = _text_keys(start.decode("utf-16", "ignore").lstrip("\ufeff"), "utf-16")
+        encoding = "utf-16" if marked else "utf-16-le"
+        keys = _text_keys(start.decode(encoding, "ignore").lstrip("\ufeff"), encoding)
     elif b"\0" in start:
         raise InstrumentError(
             f"{name} is not a text file, and its extension is none of {', '.join(ENDINGS)}: describe its records in a bench file, "
@@ -368,6 +370,17 @@ def _filled(row: Sequence[str]) -> bool:
     """Returns True if a row contains numbers, and most of its cells that are not empty are numbers or times."""
     cells = [cell for cell in row if cell.strip()]
     return len(cells) > len(row) / 2 and (_numeric(cells) or _of_reading(cells))
+
+
+def _is_utf_16(start: bytes) -> bool:
+    """Returns True if these bytes are text in UTF-16, little-endian, without a byte order mark: the second byte of nearly every
+    character is zero, and the first byte is not."""
+    low, high = start[0::2], start[1::2]
+    return len(high) >= _UTF_16_LEAST and high.count(0) > 0.9 * len(high) and low.count(0) == 0
+
+
+_UTF_16_LEAST = 16
+"""Fewest characters in which `_is_utf_16` recognises text."""
 
 
 def _text_keys(start: str, encoding: str) -> TextKeys | None:

@@ -69,7 +69,9 @@ class TextKeys(Record):
         ["ax", "ay", "az"],
         default=(),
     )
-    encoding: str = key(Choice(("utf-8", "latin-1", "utf-16")), "Encoding of the text.", "latin-1", default="utf-8")
+    encoding: str = key(
+        Choice(("utf-8", "latin-1", "utf-16", "utf-16-le")), "Encoding of the text.", "latin-1", default="utf-8"
+    )
 
     @property
     def delimiter(self) -> str:
