@@ -617,7 +617,7 @@ def _drawn(found: Data) -> Iterator[tuple[str, str, bool, str]]:
             "Share of the row's effect that the column's effect reproduces with this plan, in per cent; at 100 the two effects cannot "
             "be distinguished."
         )
-        yield "Effects that this plan can confuse", words, False, confusability_svg(alike, "confusability")
+        yield "Effects that are easily confused with this plan", words, False, confusability_svg(alike, "confusability")
     form: Data = found.get("unknown_form") or {}
     for place, name in enumerate(form.get("channels", [])[:MOST_CHANNELS] if form.get("points") else []):
         words = (
@@ -713,7 +713,7 @@ def heat_svg(heat: Data, key: str) -> str:
         axes.tick_params(length=0, labelsize=7)
         _legend(axes, colours, hottest)
         row, column = np.unravel_index(int(np.argmax(np.nan_to_num(values))), values.shape)
-        described = f"Largest: {channels[row]} in {segments[column]}, {values[row, column]:.3g} times noise."
+        described = f"Largest: {channels[row]} in {segments[column]}, {values[row, column]:.3g} times the noise."
         title = f"Gap of {count_of(len(channels), 'channel')} over {count_of(len(segments), 'segment')}"
         return save(key, title, described)
 

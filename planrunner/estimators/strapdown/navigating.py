@@ -119,12 +119,12 @@ class StrapdownNavigationParameters(Record):
     )
     gyro_uncertainty: Quantity | None = optional(
         QuantityOf("angular rate", "positive"),
-        "Standard uncertainty of each gyro's constant error; the uncertainty of the alignment and the expected errors use it.",
+        "Standard uncertainty of each gyro's constant error, for the uncertainty of the alignment and for the expected errors.",
         "0.005 deg/h",
     )
     accelerometer_uncertainty: Quantity | None = optional(
         QuantityOf("acceleration", "positive"),
-        "Standard uncertainty of each accelerometer's constant error; the uncertainty of the alignment and the expected errors use it.",
+        "Standard uncertainty of each accelerometer's constant error, for the uncertainty of the alignment and for the expected errors.",
         "50 ug",
     )
 
