@@ -30,7 +30,7 @@ def headline(limits: Sequence[LimitVerdict], failures: Mapping[str, str], warnin
         whys = "; ".join(f"{name}: {why}" for name, why in failures.items())
         return Headline(kind, _and("Incomplete", beside, "not everything could be estimated"), whys)
     if not total:
-        text = f"No limits were set{f' ({count_of(warnings, 'warning')})' if warnings else ''}"
+        text = f"No limits were set ({count_of(warnings, 'warning')})" if warnings else "No limits were set"
         return Headline(kind, text, "The plan requires values, not a verdict.")
     if failed:
         are = "limit is" if total == 1 else f"of {total} limits are" if len(failed) > 1 else f"of {total} limits is"
