@@ -174,7 +174,10 @@ def test_warnings_stand_beside_the_verdict() -> None:
     assert met.text.startswith("Passed, with 4 warnings")
     one = replace(context, limits=both[:1], estimates=(), warnings=("a fault",)).headline
     assert one.text.startswith("Passed, with 1 warning:")
-    assert "No limits were set (1 warning)" in replace(context, limits=(), estimates=(), warnings=("a fault",)).headline.text
+    assert (
+        "No limits were set (1 warning)"
+        in replace(context, limits=(), estimates=(), warnings=("a fault",)).headline.text
+    )
     assert "with 4 warnings" in replace(context, estimates=estimates, warnings=("a fault",)).headline.text
 
 
