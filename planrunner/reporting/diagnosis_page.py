@@ -617,7 +617,12 @@ def _drawn(found: Data) -> Iterator[tuple[str, str, bool, str]]:
             "Share of the row's effect that the column's effect reproduces with this plan, in per cent; at 100 the two effects cannot "
             "be distinguished."
         )
-        yield "Effects that are easily confused with this plan", words, False, confusability_svg(alike, "confusability")
+        yield (
+            "Effects that this plan cannot clearly distinguish",
+            words,
+            False,
+            confusability_svg(alike, "confusability"),
+        )
     form: Data = found.get("unknown_form") or {}
     for place, name in enumerate(form.get("channels", [])[:MOST_CHANNELS] if form.get("points") else []):
         words = (
