@@ -8,11 +8,12 @@ the recording of the plan that was proposed afterwards.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from statistics import median
 from typing import TYPE_CHECKING
 
@@ -615,7 +616,8 @@ def recorded_file(
 
     `bench`: bench file that assigns the columns to channels; by default, the bench of the plan. `segments`: table with the label,
     the beginning and the end of each segment; by default, the table that the bench file names, next to the recording. `notice`:
-    receives the progress of reading. Raises `InputError` if the file cannot be read or does not fit the plan.
+    receives the progress of reading. If the bench file names files that continue the recording, these are read too. Raises
+    `InputError` if a file cannot be read or does not fit the plan.
     """
     sound = check_plan(plan, bench=bench, today=date.today()).sound()
     parameters = _parameters(sound.bench, sound.file)
@@ -625,11 +627,12 @@ def recorded_file(
     table = segments
     if table is None and columns is not None:
         table = recording.parent / Path(columns.table).name
-    parameters = replace(parameters, file=recording.name, continued_by=(), segments=columns)
+    files = _files_from(recording, parameters)
+    parameters = replace(parameters, file=recording.name, segments=columns)
     if segments is not None:
         parameters = replace(parameters, pauses=None, stretches=None)
     try:
-        player = RecordingPlayer.open(parameters, (recording,), table, VirtualClock(), notice=notice)
+        player = RecordingPlayer.open(parameters, files, table, VirtualClock(), notice=notice)
         player.foresee(sound.schedule.segments)
         segments_played = played(player, sound.schedule.segments)
     except UnservedError as error:
@@ -643,6 +646,19 @@ def recorded_file(
         str(recording),
         _bench_for_others(bench or sound.plan.bench, plan if bench is None else None),
     )
+
+
+def _files_from(recording: Path, parameters: RecordingParameters) -> tuple[Path, ...]:
+    """Returns the paths of all files of a recording. `recording`: path of the first file. The files that continue it lie relative to
+    it as the bench file says. Raises `InputError` if the bench file names such files for another first file, because it is then
+    unknown which files continue this one."""
+    declared = PurePosixPath(parameters.file)
+    if parameters.continued_by and declared.name != recording.name:
+        message = f"the bench file names files that continue {declared.name} (`continued_by`), but not {recording.name}"
+        hint = f"give {declared.name}, or correct `file` and `continued_by` in the bench file"
+        raise InputError.at(Mark(str(recording)), "recording-unfit", message, hint)
+    beside = [os.path.relpath(name, declared.parent) for name in parameters.continued_by]
+    return (recording, *(recording.parent / name for name in beside))
 
 
 def _bench_for_others(bench: str, plan: Path | None) -> str:

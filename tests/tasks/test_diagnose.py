@@ -388,6 +388,38 @@ def test_the_table_of_segments_lies_beside_the_recording_unless_it_is_named(tmp_
     assert len(recorded.segments) == len(listed())
 
 
+def divided(folder: Path) -> Path:
+    """A laboratory whose recording is in two files, the second in a folder beside the first."""
+    laboratory(folder)
+    table = pq.read_table(folder / "recording.parquet")
+    half = table.num_rows // 2
+    (folder / "later").mkdir()
+    pq.write_table(table.slice(half), folder / "later" / "second.parquet")
+    pq.write_table(table.slice(0, half), folder / "recording.parquet")
+    replace(folder / "bench.yaml", "    file: ", "    continued_by: [later/second.parquet]\n    file: ")
+    return folder
+
+
+def test_files_that_continue_the_recording_are_read(tmp_path):
+    laboratory(tmp_path)
+    whole, _ = observe(recorded_file(tmp_path / "plan.yaml", None, tmp_path / "recording.parquet"))
+    (tmp_path / "divided").mkdir()
+    folder = divided(tmp_path / "divided")
+    parts, _ = observe(recorded_file(folder / "plan.yaml", None, folder / "recording.parquet"))
+    assert np.array_equal(parts.values, whole.values)
+
+
+def test_a_missing_or_unknown_continuation_is_refused(tmp_path):
+    folder = divided(tmp_path)
+    (folder / "recording.parquet").rename(folder / "other.parquet")
+    with pytest.raises(InputError, match=r"continue recording\.parquet \(`continued_by`\), but not other\.parquet"):
+        recorded_file(folder / "plan.yaml", None, folder / "other.parquet")
+    (folder / "other.parquet").rename(folder / "recording.parquet")
+    (folder / "later" / "second.parquet").unlink()
+    with pytest.raises(InputError, match=r"second\.parquet"):
+        recorded_file(folder / "plan.yaml", None, folder / "recording.parquet")
+
+
 def test_only_the_outputs_of_the_plan_are_looked_at(tmp_path):
     laboratory(tmp_path)
     replace(tmp_path / "plan.yaml", "[gyro_x, gyro_y, gyro_z, accel_x, accel_y, accel_z]", "[gyro_x, gyro_z]")
