@@ -80,7 +80,8 @@ def wider(listed: Sequence[ParameterEstimate], weighed: Weighed, ratios: Array |
 
 def shape(candidate: Candidate) -> list[ParameterEstimate]:
     """Returns the shape of an effect and its uncertainty. The shape and its uncertainty are computed from the evidence for all
-    evaluated values of the shape."""
+    evaluated values of the shape. If the evidence of the first or the last value is nearly the largest, the shape may be outside
+    the evaluated range. The uncertainty is then at least the largest distance between neighbouring values (relative to the shape)."""
     effect = candidate.effect
     if isinstance(effect, HasShape) and not isinstance(effect, Shaped) and candidate.best.variant.shape is not None:
         # The shape is one of a few numbers. The amplitudes are those of the best number.
@@ -104,6 +105,8 @@ def shape(candidate: Candidate) -> list[ParameterEstimate]:
         bend, slope, _ = np.polyfit(values[near] / values[top] - 1, evidence[near] - evidence[top], 2)
         mean = float(values[top] * (1 - slope / (2 * bend)))
         spread = float(values[top] / np.sqrt(-2 * bend))
+    if len(values) > 1 and max(evidence[0], evidence[-1]) > evidence.max() - _NEAR:  # the shape may be beyond the grid
+        spread = max(spread, mean * float(np.expm1(np.diff(np.log(values)).max())))
     return [ParameterEstimate(candidate.id, effect.shape_name, mean, effect.shape_unit, spread)]
 
 
@@ -154,22 +157,57 @@ def of_noise(weighing: Weighing, effect: OutsideCoefficients, beside: Weighed | 
                 )
             )
     if noise == "random walk" and gyros:
-        walks = np.array([setting.walk for setting in weighing.settings["gyro"]])
-        evidence = weighing.base if beside is None else weighing.base + beside.log_bayes
-        log = np.where(np.isfinite(evidence), evidence + weighing.log_prior[1], -np.inf).reshape(weighing.shape).max(1)
-        weight = np.where(walks > 0, np.exp(log - log.max()), 0.0)
-        weight /= weight.sum()
-        mean = float(weight @ walks)
-        spread = float(np.sqrt(weight @ (walks - mean) ** 2))
-        if weight[walks == walks.max()].sum() > _AT_THE_EDGE:  # the density may be above every level
-            spread = max(spread, mean)
+        mean, spread = _density(weighing, beside)
         factor, text = observed.channels[gyros[0]].factor, observed.channels[gyros[0]].unit
         found.append(ParameterEstimate(name, "density", mean / factor, f"{text}/sqrt(s)", spread / factor))
     return found
 
 
-_AT_THE_EDGE = 0.5
-"""If the largest level of the random walk has a higher probability than this value, the level is only a lower limit of the density."""
+def _density(weighing: Weighing, beside: Weighed | None) -> tuple[float, float]:
+    """Returns posterior mean and standard deviation of the density of the random walk, SI/√s. The evaluated levels are often further
+    apart than the uncertainty of the density. Therefore, the log evidence is interpolated between the levels by a spline of the
+    logarithm of the density, and integrated over a fine grid. The standard deviation includes the spacing of the fine grid and the
+    difference between the means for a cubic and a quintic spline. `beside`: the same as in `of_noise`."""
+    from scipy.interpolate import make_interp_spline
+
+    settings = weighing.settings["gyro"]
+    evidence = weighing.base if beside is None else weighing.base + beside.log_bayes
+    log = np.where(np.isfinite(evidence), evidence + weighing.log_prior[1], -np.inf).reshape(weighing.shape).max(1)
+    families: dict[tuple[float, bool], list[int]] = {}
+    for index, setting in enumerate(settings):
+        if setting.walk > 0 and np.isfinite(log[index]):
+            families.setdefault((setting.flicker, setting.alike), []).append(index)
+    walks = np.array([setting.walk for setting in settings])
+    lowest, highest = np.log([walks[walks > 0].min(), walks.max()])
+    fine = np.linspace(lowest, highest, _FINE)
+    found = []
+    for degree in (3, 5):
+        total = np.full(len(fine), -np.inf)
+        for own in families.values():
+            at = np.log(walks[own])
+            if len(own) > degree:
+                inside = (fine >= at[0]) & (fine <= at[-1])
+                total[inside] = np.logaddexp(total[inside], make_interp_spline(at, log[own], k=degree)(fine[inside]))
+            else:
+                nearest = np.abs(fine[:, None] - at).argmin(0)
+                total[nearest] = np.logaddexp(total[nearest], log[own])
+        weight = np.exp(total - total.max())
+        weight /= weight.sum()
+        mean = float(weight @ np.exp(fine))
+        variance = float(weight @ (np.exp(fine) - mean) ** 2) + (mean * (fine[1] - fine[0])) ** 2 / 12
+        found.append((mean, variance, bool(total[-1] > total.max() - _AT_THE_EDGE)))
+    (cubic, _, _), (mean, variance, limit) = found
+    spread = float(np.sqrt(variance + (mean - cubic) ** 2))
+    return mean, max(spread, mean) if limit else spread
+
+
+_FINE = 4001  # number of values of the density, over the range of the evaluated levels
+_AT_THE_EDGE = 2.0
+"""If the log evidence of the largest level of the random walk is less than this value (in nats) below the largest log evidence, the
+density may be above every level."""
+_NEAR = 0.5
+"""If the log evidence of the first or last value of a shape is less than this value (in nats, one standard deviation of a parabola)
+below the largest log evidence, the shape may be outside the evaluated range."""
 _UNDETERMINED = 1e-6
 """The plan does not determine some combinations (directions) of the parameters. If at most this fraction of a parameter lies in
 such directions, the parameter counts as determined."""
