@@ -7,7 +7,7 @@ import pytest
 
 from planrunner.base.arrays import Array
 from planrunner.error_model.effects.gyro import GyroGSensitivity
-from planrunner.error_model.effects.slow_bias import GyroBiasRandomWalk
+from planrunner.error_model.effects.interface import OutsideCoefficients, effect_named
 from planrunner.error_model.effects.warming import GyroWarmUp
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.parameters import of_noise, shape
@@ -32,11 +32,12 @@ def _walk_beside(observed: Observed, omega: Array, force: Array, draw: np.random
 
 def test_the_density_of_a_random_walk_deviates_by_its_uncertainty() -> None:
     """The true density lies between two evaluated levels. One level often has nearly all of the probability."""
-    away = []
+    effect, away = effect_named("gyro_bias_random_walk"), []
+    assert isinstance(effect, OutsideCoefficients)
     for seed in range(100, 130):
         weighing = Weighing(record(seed=seed, fault=_walk_beside, sampling=5.0))
         (beside,) = candidates_of(weighing, [GyroGSensitivity()])
-        (density,) = of_noise(weighing, GyroBiasRandomWalk(), beside.best)
+        (density,) = of_noise(weighing, effect, beside.best)
         away.append((density.value - _DENSITY) / density.standard_uncertainty)
     assert np.mean(np.abs(away) <= 2) >= 0.9
     assert 0.6 < np.sqrt(np.mean(np.square(away))) < 1.4
