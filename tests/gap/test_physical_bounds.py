@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from planrunner.error_model.effects.interface import effect_named
 from planrunner.error_model.observed import Observed
 from planrunner.gap.answer.diagnosis import DiagnosisOptions, diagnose
+from planrunner.gap.answer.sets import sets_of
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
 from planrunner.observation.refusals import ObservationError
@@ -90,6 +91,22 @@ def test_what_an_effect_cannot_be_is_not_named(fault: Fault, effect: str) -> Non
     found = diagnose(record(seed=5, fault=fault), DiagnosisOptions(effects=(effect,)))
     assert effect not in found.verdict.effects and found.verdict.kind == "unknown"
     assert sum(p for name, p in found.posterior.probability.items() if effect in name) < 0.01
+
+
+def test_the_quick_evidence_of_a_pair_respects_the_physical_limits() -> None:
+    """An output that grows faster than the rate is the opposite of a saturation, also beside a further effect."""
+
+    def steeper(
+        seen: Observed, omega: np.ndarray, force: np.ndarray, draw: np.random.Generator
+    ) -> tuple[np.ndarray, float]:
+        return 0.02 * omega**3, 0.0
+
+    weighing = Weighing(record(seed=5, fault=steeper))
+    effects = [effect_named(name) for name in ("gyro_scale_asymmetry", "gyro_soft_saturation")]
+    sets = sets_of(weighing, candidates_of(weighing, effects), lambda size: -4.0 * size, walks=False)
+    key = "gyro_scale_asymmetry+gyro_soft_saturation"
+    assert sets.full[key].weighed.excluded
+    assert sets.quick[key] < 0
 
 
 def test_a_delay_may_have_either_sign() -> None:

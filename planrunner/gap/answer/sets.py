@@ -21,6 +21,7 @@ from planrunner.base.arrays import Array
 from planrunner.error_model.effects.interface import Column, Curved, Shaped, Variant, is_whole
 from planrunner.gap.evidence.bayes_factors import (
     averaged,
+    best_amplitudes,
     best_scales,
     from_eigen,
     held_among,
@@ -30,7 +31,7 @@ from planrunner.gap.evidence.bayes_factors import (
     set_log_evidence,
 )
 from planrunner.gap.evidence.weighing import inner_products
-from planrunner.gap.hypotheses.candidates import Candidate, Weighed, Weighing
+from planrunner.gap.hypotheses.candidates import ABSORBED, EXCLUDED, Candidate, Weighed, Weighing
 from planrunner.gap.hypotheses.forms import (
     BENT,
     WORSE,
@@ -358,7 +359,8 @@ def columns_beside(weighing: Weighing, one: EffectSet, number: int) -> list[Sequ
 
 def _given(weighing: Weighing, a: Weighed, others: Sequence[Candidate], setting: int) -> Iterator[tuple[Member, float]]:
     """Assumes that the effect `a` acts with its most probable size. Under this condition, yields the best form of each of the other
-    effects, and the increase of the log Bayes factor by this form. `setting`: index of the setting of the noise."""
+    effects, and the increase of the log Bayes factor by this form. The increase includes the condition that the amplitudes of the
+    other effect are physically possible. `setting`: index of the setting of the noise."""
     if not others:
         return
     mean, covariance = a.amplitudes_at(setting)
@@ -367,6 +369,7 @@ def _given(weighing: Weighing, a: Weighed, others: Sequence[Candidate], setting:
     size = np.zeros((sum(forms), max((other.variants[0].gram.shape[1] for other in others), default=0)))
     along, last = np.zeros_like(size), 0
     fixed: dict[str, Array] = {}
+    possible = np.zeros(len(size))
     for other, count in zip(others, forms, strict=True):
         columns = [column for item in other.variants for column in item.variant.columns]
         cross = np.swapaxes(inner_products(columns, own, means).reshape(len(mean), count, -1), 0, 1)  # (V, q, p)
@@ -377,12 +380,17 @@ def _given(weighing: Weighing, a: Weighed, others: Sequence[Candidate], setting:
         values, vectors = np.linalg.eigh(grams)
         # the energies of each variant are divided by its trace
         traces = np.array([item.trace for item in other.variants])[:, None]
+        for place, (item, gram, score) in enumerate(zip(other.variants, grams, scores, strict=True), start=last):
+            if item.limited and item.kept > ABSORBED:
+                amplitudes = best_amplitudes(gram, score, item.variant.widths, item.variant.fixed)
+                possible[place] = item.log_possible_at(*amplitudes)
         part = slice(last, last := last + count), slice(values.shape[1])
         size[part] = np.maximum(values, 0.0) / traces
         along[part] = np.einsum("vji,vj->vi", vectors, scores) ** 2 / traces
         if other.best.held:
             fixed[other.id] = held_log_bayes_factor(grams[:, 0, 0], scores[:, 0])
-    added = averaged(from_eigen(size, along, 1.0))
+    added = averaged(from_eigen(size, along, 1.0)) + possible
+    added = np.where(possible <= EXCLUDED, np.minimum(added, possible), added)
     for other, values in zip(others, np.split(added, np.cumsum(forms)[:-1]), strict=True):
         values = fixed.get(other.id, values)
         best = int(np.argmax(values))

@@ -138,17 +138,22 @@ class Weighed:
     def log_possible(self) -> float:
         """Returns the logarithm of the probability that every amplitude is physically possible; it is negative or zero. The log
         Bayes factor for a prior without limits, plus this value, is the log Bayes factor for a prior with the physical limits."""
-        columns, fixed = self.variant.columns, self.variant.fixed
-        limited = [
+        return self.log_possible_at(*self.amplitudes) if self.limited else 0.0
+
+    @cached_property
+    def limited(self) -> list[int]:
+        """Returns the indices of the free amplitudes that have a physical limit."""
+        return [
             k
-            for k, column in enumerate(columns)
-            if k not in fixed and np.isfinite([column.smallest, column.largest]).any()
+            for k, column in enumerate(self.variant.columns)
+            if k not in self.variant.fixed and np.isfinite([column.smallest, column.largest]).any()
         ]
-        if not limited:
-            return 0.0
+
+    def log_possible_at(self, mean: Array, covariance: Array) -> float:
+        """Does the same as `log_possible`, for given amplitudes: mean (p,) and covariance (p, p) in magnitudes."""
         from scipy.special import log_ndtr
 
-        mean, covariance = self.amplitudes
+        columns, limited = self.variant.columns, self.limited
         smallest = np.array([columns[k].smallest / columns[k].magnitude for k in limited])
         largest = np.array([columns[k].largest / columns[k].magnitude for k in limited])
         inside = np.minimum(largest - mean[limited], mean[limited] - smallest)
