@@ -50,6 +50,8 @@ def _walk(observed: Observed, omega: Array, force: Array, draw: np.random.Genera
 
 OF_A_WALK = ("gyro_bias_random_walk", "gyro_bias_step", "gyro_bias_drift", "gyro_g_sensitivity", "table_tilt")
 """The effects of a recording with a random walk, and the effects that resemble it, for tests of sizes. Tests of names use all effects."""
+AMONG_ALL = pytest.param(None, marks=pytest.mark.slow, id="all")
+"""All effects are hypotheses, which takes long."""
 
 
 def test_nothing_is_found_in_noise() -> None:
@@ -139,8 +141,11 @@ def test_parameters_beside_a_random_walk_have_its_uncertainty() -> None:
     assert chi2.sf(np.square(away).sum(), len(away)) > 1e-3
 
 
+@pytest.mark.parametrize("effects", [pytest.param(OF_A_WALK, id="few"), AMONG_ALL])
 @pytest.mark.parametrize(("walk", "unbalance"), [(1, 0), (1, 6), (5, 0)])
-def test_the_density_of_a_random_walk_agrees_within_its_uncertainty(walk: float, unbalance: float) -> None:
+def test_the_density_of_a_random_walk_agrees_within_its_uncertainty(
+    walk: float, unbalance: float, effects: tuple[str, ...] | None
+) -> None:
     """Beside a strong effect, the density does not contain the effect. Above the levels that are evaluated, its uncertainty is large."""
 
     def both(
@@ -149,7 +154,7 @@ def test_the_density_of_a_random_walk_agrees_within_its_uncertainty(walk: float,
         wandering = _walk(observed, omega, force, draw)[0]
         return walk * wandering + unbalance * _unbalance(observed, omega, force, draw)[0], 0.0
 
-    found = diagnose(record(seed=18, fault=both), DiagnosisOptions(effects=OF_A_WALK))
+    found = diagnose(record(seed=18, fault=both), DiagnosisOptions(effects=effects))
     assert "gyro_bias_random_walk" in found.verdict.effects
     (density,) = (p for p in found.parameters if p.effect == "gyro_bias_random_walk")
     assert abs(density.value - walk * 2e-4) < 2 * density.standard_uncertainty
@@ -160,7 +165,7 @@ def test_the_density_of_a_random_walk_agrees_within_its_uncertainty(walk: float,
     "effects",
     [
         pytest.param((*OF_A_WALK, "gyro_bias_temperature", "gyro_warm_up", "mount_shift"), id="few"),
-        pytest.param(None, marks=pytest.mark.slow, id="all"),
+        AMONG_ALL,
     ],
 )
 def test_what_is_not_in_the_catalogue_is_said_to_be(effects: tuple[str, ...] | None) -> None:

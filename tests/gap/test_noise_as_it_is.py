@@ -228,12 +228,15 @@ OF_TIME = (
     "accel_bias_random_walk",
     "accel_bias_drift",
 )
+"""The effects that follow the time."""
+AMONG_ALL = pytest.param(None, marks=pytest.mark.slow, id="all")
+"""All effects are hypotheses, which takes long."""
 
 
-def test_a_random_walk_is_found_far_below_the_noise_of_a_sample() -> None:
-    """A smooth or periodic course in time, outside the catalogue, describes such a walk nearly as well as the walk itself does. The effects
-    are those that follow the time."""
-    options = DiagnosisOptions(effects=OF_TIME)
+@pytest.mark.parametrize("effects", [pytest.param(OF_TIME, id="alike"), AMONG_ALL])
+def test_a_random_walk_is_found_far_below_the_noise_of_a_sample(effects: tuple[str, ...] | None) -> None:
+    """A smooth or periodic course in time, outside the catalogue, describes such a walk nearly as well as the walk itself does."""
+    options = DiagnosisOptions(effects=effects)
     right = [
         diagnose(noisy(of_an_angle, walking, seed), options).posterior.probability["gyro_bias_random_walk"]
         for seed in range(1, 5)

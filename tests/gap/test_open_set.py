@@ -122,14 +122,20 @@ def test_a_saw_tooth_is_no_walk() -> None:
     assert found.posterior.kinds[PERIODIC] > found.posterior.log_evidence["gyro_bias_random_walk"] + 10
 
 
-def test_what_a_periodic_bias_shows_within_the_windows_counts_too() -> None:
+@pytest.mark.parametrize(
+    "effects",
+    [
+        pytest.param(("gyro_bias_random_walk", "gyro_bias_step", "gyro_g_sensitivity"), id="few"),
+        pytest.param(None, marks=pytest.mark.slow, id="all"),
+    ],
+)
+def test_what_a_periodic_bias_shows_within_the_windows_counts_too(effects: tuple[str, ...] | None) -> None:
     """The jumps of large teeth also look like bursts. As bursts of another cause, they would count in favour of the effects alone."""
 
     def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
         return 0.02 * DEG * np.outer((observed.time / 48 + 0.2) % 1 - 0.5, [1.0, 0.6, 0.1]), 0.0
 
-    options = DiagnosisOptions(effects=("gyro_bias_random_walk", "gyro_bias_step", "gyro_g_sensitivity"))
-    found = diagnose(record(seed=4, fault=fault), options).posterior
+    found = diagnose(record(seed=4, fault=fault), DiagnosisOptions(effects=effects)).posterior
     both = found.kinds[PERIODIC] + found.kinds[BURSTS]
     assert found.kinds[BURSTS] > 100
     assert found.log_evidence["unknown"] > both - 10

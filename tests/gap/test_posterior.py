@@ -47,6 +47,8 @@ def test_an_effect_that_cannot_act_takes_no_part_of_the_prior() -> None:
 ON_NOISE = {"gyro_noise_excess", "gyro_quantization", "accel_noise_excess", "accel_quantization"}
 QUICK = (*sorted(ON_NOISE), "gyro_g_sensitivity")
 RIVALS = ("gyro_bias_random_walk", "gyro_bias_step", "gyro_bias_temperature", "gyro_g2_sensitivity", "table_tilt")
+AMONG_ALL = pytest.param(None, marks=pytest.mark.slow, id="all")
+"""All effects are hypotheses, which takes long."""
 
 
 def cause(name: str) -> set[str]:
@@ -58,13 +60,14 @@ def alone(name: str) -> bool:
     return cause(name) == set(name.split("+"))
 
 
-def test_noise_is_reported_beside_a_cause_and_is_no_rival_of_it() -> None:
+@pytest.mark.parametrize("effects", [pytest.param((*QUICK, *RIVALS), id="few"), AMONG_ALL])
+def test_noise_is_reported_beside_a_cause_and_is_no_rival_of_it(effects: tuple[str, ...] | None) -> None:
     """Noise six times as strong as declared, which no wrong declaration explains, beside an unbalance."""
 
     def unbalance(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
         return force / G @ draw.normal(0.0, 1.0, (3, 3)) * 0.1 * DEG, 0.0
 
-    made = diagnose(record(seed=11, fault=unbalance, noise=6.0), DiagnosisOptions(effects=(*QUICK, *RIVALS)))
+    made = diagnose(record(seed=11, fault=unbalance, noise=6.0), DiagnosisOptions(effects=effects))
     found, said = made.posterior, made.verdict
     assert not [name for name in found.probability if cause(name) and not alone(name)]
     assert sum(found.probability.values()) == pytest.approx(1.0)
@@ -85,13 +88,14 @@ def test_noise_is_reported_beside_something_else() -> None:
     assert found.posterior.noise["accel_noise_excess"] < 0.5
 
 
-def test_a_walk_is_found_beside_more_noise() -> None:
+@pytest.mark.parametrize("effects", [pytest.param((*QUICK, *RIVALS), id="few"), AMONG_ALL])
+def test_a_walk_is_found_beside_more_noise(effects: tuple[str, ...] | None) -> None:
     def walk(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[Array, float]:
         gaps = np.diff(observed.time, prepend=observed.time[0])
         steps = draw.normal(0.0, 1.0, omega.shape) * np.sqrt(gaps + 1 / RATE)[:, None]
         return 2e-4 * DEG * np.cumsum(steps, axis=0), 0.0
 
-    found = diagnose(record(seed=8, fault=walk, noise=4.0), DiagnosisOptions(effects=(*QUICK, *RIVALS)))
+    found = diagnose(record(seed=8, fault=walk, noise=4.0), DiagnosisOptions(effects=effects))
     assert next(iter(found.posterior.probability)) == "gyro_bias_random_walk"
     assert found.verdict.noise == ("gyro_noise_excess",)
 

@@ -22,17 +22,26 @@ def with_offsets(observed: Observed, omega: Array, force: Array, draw: np.random
     return effect + np.outer(offsets, [0.0, 0.0, 1.0]), 0.0
 
 
-OPTIONS = DiagnosisOptions(effects=("gyro_g_sensitivity", "gyro_g2_sensitivity", "gyro_bias_temperature", "table_tilt"))
+FEW = ("gyro_g_sensitivity", "gyro_g2_sensitivity", "gyro_bias_temperature", "table_tilt")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(FEW, id="few"), pytest.param(None, marks=pytest.mark.slow, id="all")],
+)
+def options(request: pytest.FixtureRequest) -> DiagnosisOptions:
+    """A few effects, or all of them, which takes long."""
+    return DiagnosisOptions(effects=request.param)
 
 
 @pytest.fixture(scope="module")
-def clean() -> Diagnosis:
-    return diagnose(record(seed=8, fault=g_sensitivity), OPTIONS)
+def clean(options: DiagnosisOptions) -> Diagnosis:
+    return diagnose(record(seed=8, fault=g_sensitivity), options)
 
 
 @pytest.fixture(scope="module")
-def beside() -> Diagnosis:
-    return diagnose(record(seed=8, fault=with_offsets), OPTIONS)
+def beside(options: DiagnosisOptions) -> Diagnosis:
+    return diagnose(record(seed=8, fault=with_offsets), options)
 
 
 def test_an_effect_that_leaves_noise_explains_the_gap(clean: Diagnosis) -> None:

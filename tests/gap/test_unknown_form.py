@@ -14,20 +14,27 @@ from tests.gap.turntable import DEG, record
 
 Array = np.ndarray
 SIZE = 0.02  # m/s²
-OPTIONS = DiagnosisOptions(
-    effects=("accel_bias_step", "accel_bias_temperature", "lever_arm", "mount_shift", "table_wobble")
+FEW = ("accel_bias_step", "accel_bias_temperature", "lever_arm", "mount_shift", "table_wobble")
+
+
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(FEW, id="few"), pytest.param(None, marks=pytest.mark.slow, id="all")],
 )
+def options(request: pytest.FixtureRequest) -> DiagnosisOptions:
+    """A few effects, or all of them, which takes long."""
+    return DiagnosisOptions(effects=request.param)
 
 
 @pytest.fixture(scope="module")
-def resonating() -> Diagnosis:
+def resonating(options: DiagnosisOptions) -> Diagnosis:
     """A mount that resonates while the table turns at 40 deg/s, about any axis and in both directions, and shifts one accelerometer."""
 
     def fault(observed: Observed, omega: Array, force: Array, draw: np.random.Generator) -> tuple[float, Array]:
         fast = np.array([isinstance(m, Spin) and abs(abs(m.rate) - 40 * DEG) < 1e-9 for m in observed.motions])
         return 0.0, SIZE * fast[observed.owner][:, None] * np.array([0.0, 0.0, 1.0])
 
-    return diagnose(record(5, fault), OPTIONS)
+    return diagnose(record(5, fault), options)
 
 
 def test_the_pattern_that_explains_an_unknown_gap_is_said(resonating: Diagnosis) -> None:
@@ -50,6 +57,6 @@ def test_it_is_written_drawn_and_listed(resonating: Diagnosis) -> None:
     assert {str(row[0]) for row in rows} >= {"40 deg/s", "-40 deg/s", "rocking"}
 
 
-def test_without_an_unknown_cause_nothing_is_said() -> None:
-    found = diagnose(record(3), OPTIONS)
+def test_without_an_unknown_cause_nothing_is_said(options: DiagnosisOptions) -> None:
+    found = diagnose(record(3), options)
     assert found.unknown is None and unknown_words(found.to_json()) == ""
