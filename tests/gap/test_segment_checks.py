@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from planrunner.base.findings import Findings
 from planrunner.error_model.observed import Observed
 from planrunner.gap.evidence.recording_checks import check_segments, other_state, removed_means
-from planrunner.plan.schedule import Rest, Spin
+from planrunner.plan.schedule import Motion, Rest, Rock, Spin
+from tests.gap import turntable
 from tests.gap.turntable import DEG, Array, G, record
 
 
@@ -83,3 +84,48 @@ def test_white_noise_around_zero_is_no_removed_mean() -> None:
     draw = np.random.default_rng(5)
     for _ in range(40):
         assert removed_means(replace(whole, values=draw.normal(size=whole.values.shape))) == ()
+
+
+def test_rocking_is_no_removed_mean(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nearly all segments rock, and the means of whole periods are nearly zero."""
+    upright = np.eye(3)
+    frequencies = (0.8, 0.85, 0.9, 1.0, 1.1, 1.2, 1.25, 1.3)
+    rows: list[tuple[Array, Motion, float, float]] = [
+        (upright, Rock(5 * DEG, frequency, (0.0,), 20.0), 20.0, 25.0) for frequency in frequencies
+    ]
+    rows.append((upright, Rest(), 20.0, 25.0))
+    monkeypatch.setattr(turntable, "plan", lambda: rows)
+    for seed in range(4):
+        assert removed_means(record(seed=seed)) == ()
+
+
+@pytest.mark.parametrize("frequency", [5.0, 5.03, 5.05, 0.3])
+@pytest.mark.parametrize("gain", [1.0, 0.05])
+def test_a_vibration_is_no_removed_mean(frequency: float, gain: float) -> None:
+    """Rests on a vibrating table: whole periods have no mean, and those of 5.05 Hz have one in each half. With the small gain, the
+    biases are 0.001 deg/s, much smaller than the vibration of 2 deg/s."""
+    for seed in range(3):
+        whole = record(seed=seed)
+        rests = [k for k, motion in enumerate(whole.motions) if isinstance(motion, Rest)]
+        observed = turntable.kept(whole, rests)
+        gyros = observed.values[:, :3].copy()
+        gyros -= (1 - gain) * gyros.mean(axis=0)
+        gyros += 2 * DEG * np.sin(2 * np.pi * frequency * observed.time)[:, None]
+        values = np.column_stack([gyros, observed.values[:, 3:]])
+        assert removed_means(replace(observed, values=values)) == ()
+
+
+def test_accelerometers_across_a_horizontal_axis_have_no_removed_mean(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Gravity turns through their input axes, and has no mean over whole turns."""
+    rows: list[tuple[Array, Motion, float, float]] = [
+        (np.eye(3), Spin(sign * rate * DEG, (0.0, 1.0, 0.0)), 20.0, 25.0)
+        for rate in (18, 36, 54, 72, 90)
+        for sign in (1, -1)
+    ]
+    monkeypatch.setattr(turntable, "plan", lambda: rows)
+    observed = record(seed=1)
+    draw = np.random.default_rng(1)
+    omega, force = observed.omega, observed.force
+    values = np.hstack([omega + 0.02 * DEG, force + 0.02]) + draw.normal(0, 1e-3, observed.values.shape)
+    assert np.ptp(force[:, 0]) > G
+    assert removed_means(replace(observed, values=values)) == ()

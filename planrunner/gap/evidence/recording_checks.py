@@ -84,6 +84,8 @@ SOUND = 0.5
 REMOVED = 0.1
 """A mean is nearly zero if its magnitude is at most this fraction of its standard error. With white noise around zero, 8 % of the means
 are nearly zero."""
+SLOW_ORDERS = slice(3, 11)
+"""Orders of the Fourier coefficients that show the noise of a mean, in periods per segment. A slope has nearly no part in them."""
 BY_CHANCE = 1e-6
 """Removed means are reported if noise alone makes so many means nearly zero with at most this probability (binomial distribution)."""
 
@@ -591,22 +593,38 @@ def _angle(stimulus: Array, means: Array, one: int, least: float) -> float | Non
 
 
 def removed_means(observed: Observed) -> tuple[str, ...]:
-    """Returns the channels whose means over the segments are closer to zero than their noise allows. A segment with a recorded motion
-    counts only if the reference shows a mean that the channel should have."""
+    """Returns the channels whose means over the segments are closer to zero than their noise allows. A segment counts for a channel if
+    the table rests or turns at a constant rate, and if the planned input of the channel is constant."""
     from scipy.stats import binom, norm
 
     nearly_zero = float(2 * norm.cdf(REMOVED) - 1)
+    used = [part for part, unsteady in zip(observed.segments(), observed.unsteady, strict=True) if not unsteady]
+    used = [part for part in used if part.stop - part.start > 2 * SLOW_ORDERS.stop]
+    if not used:
+        return ()
+    means = means_over(used, observed.values)
+    error = np.array([_slow_error(observed.values[part]) for part in used])
+    felt = {"gyro": observed.omega, "accel": observed.force}
     found = []
     for index, channel in enumerate(observed.channels):
-        means = segment_means(observed, observed.values[:, [index]])[:, 0]
-        error = np.array(
-            [observed.values[part, index].std() / np.sqrt(part.stop - part.start) for part in observed.segments()]
-        )
-        stimulus = segment_means(observed, observed.omega if channel.kind == "gyro" else observed.force)[
-            :, channel.axis
-        ]
-        counted = (error > 0) & (~observed.moved | (np.abs(stimulus) > 3 * error))
-        number = int(np.count_nonzero(np.abs(means[counted]) <= REMOVED * error[counted]))
+        seen = observed.seen(index, felt[channel.kind])
+        varies = np.array([seen[part].std() for part in used])
+        counted = (error[:, index] > 0) & (varies <= error[:, index])
+        number = int(np.count_nonzero(np.abs(means[counted, index]) <= REMOVED * error[counted, index]))
         if binom.sf(number - 1, np.count_nonzero(counted), nearly_zero) < BY_CHANCE:
             found.append(channel.name)
     return tuple(found)
+
+
+def _slow_error(values: Array) -> Array:
+    """Computes the standard errors of the means of K channels from their noise at low frequencies. A vibration does not change the
+    result: a Hann window keeps it away from the lowest frequencies, and the median omits single lines. `values`: array of shape (n, K).
+    Returns an array of shape (K,).
+
+    The error is the square root of σ²/n. In white noise, the squared magnitudes of the coefficients of the windowed samples are
+    distributed exponentially with the mean σ²·Σw², so that their median is ln 2 times this mean (Percival and Walden, Spectral Analysis
+    for Physical Applications, 1993, chapter 6)."""
+    n = len(values)
+    window = np.hanning(n + 1)[:-1]
+    coefficients = np.fft.rfft(window[:, None] * (values - values.mean(axis=0)), axis=0)[SLOW_ORDERS]
+    return np.asarray(np.sqrt(np.median(np.abs(coefficients) ** 2, axis=0) / np.log(2) / (window @ window) / n))
