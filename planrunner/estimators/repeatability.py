@@ -9,10 +9,11 @@ The intervals of standard deviations are χ² intervals. The interval for the su
 Graybill and Wang (J. Am. Stat. Assoc. 75, 1980, 869), because the χ² interval with Satterthwaite's degrees of freedom contains the
 true value in only 91 % instead of 95 % of tests that last five days.
 
-There are four warnings. The first is about repeats that scatter more than their own standard uncertainties allow (χ² test). The
+There are five warnings. The first is about repeats that scatter more than their own standard uncertainties allow (χ² test). The
 second is about repeats that form different groups although the plan names no groups; the groups are formed by labels, by pauses or
 by thirds of the sequence (`groupings`, F test). The third is about repeats whose sequence is not random, as with a drift (von
-Neumann, Ann. Math. Stat. 12, 1941, 367). The fourth is about groups whose scatter differs (Bartlett's test).
+Neumann, Ann. Math. Stat. 12, 1941, 367). The fourth is about groups whose scatter differs (Bartlett's test). The fifth is about
+correlated coefficients of one estimate.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +54,7 @@ _NAMED = 4  # most groups named in a sentence
 _TO_COMPARE = 3  # fewest repeats of a group whose scatter is compared with other groups
 _PAUSE = 3.0  # a pause this many times as long as the median pause separates groups
 _LEAST = 4  # fewest repeats in each third
+_CORRELATED = 0.1  # with n equally correlated repeats, their standard deviation is then about 5 % too small
 
 
 class RepeatabilityParameters(Record):
@@ -92,7 +95,8 @@ class Repeats:
 
     `group`: array of shape (n,), index of the group of each value. `own`: array of shape (n,), standard uncertainty of each value,
     NaN if it is not known. `expected`: for expected values, the variance that noise alone would cause; NaN for measured values.
-    `pauses`: array of shape (n − 1,), time between successive repeats, s; None if this is not known.
+    `pauses`: array of shape (n − 1,), time between successive repeats, s; None if this is not known. `correlation`: correlation
+    coefficient of the two most correlated values that come from the same estimate; zero if there are none.
     """
 
     name: str
@@ -104,6 +108,7 @@ class Repeats:
     period: float = math.inf
     expected: float = math.nan
     pauses: Array | None = None
+    correlation: float = 0.0
 
     def on_circle(self, value: float) -> float:
         """Converts the value of a circular quantity to the equivalent value in the range from 0 to `period`. Returns the value of
@@ -215,6 +220,10 @@ def _items(parameters: RepeatabilityParameters, labels: Sequence[str], uses: Seq
         raise EstimationError(
             "`quantities` names all coefficients itself: leave `coefficients`, `channels` and `groups` out"
         )
+    for name, texts in parameters.quantities.items():
+        if len(set(texts)) < len(texts):
+            twice = next(text for text in texts if texts.count(text) > 1)
+            raise EstimationError(f"the quantity '{name}' contains '{twice}' twice: list each coefficient once")
     items = list(labels) if parameters.channels else list(uses)
     if parameters.quantities:
         return items
@@ -312,7 +321,7 @@ def _quantities(request: EstimateRequest[RepeatabilityParameters]) -> list[Repea
     """Returns the repeats of quantities whose coefficients have different names."""
     found = []
     for name, texts in request.parameters.quantities.items():
-        items, noise = [], []
+        items, noise, places = [], [], []
         for text in texts:
             estimate, _, wanted = text.partition(".")
             if estimate not in request.uses:
@@ -325,6 +334,7 @@ def _quantities(request: EstimateRequest[RepeatabilityParameters]) -> list[Repea
                 raise EstimationError(f"'{estimate}' has no coefficient '{wanted}': {closest(wanted, known)}")
             items.append(known[wanted])
             noise.append(_expected_variance([wanted], [used]))
+            places.append((estimate, list(known).index(wanted)))
         units = {item.unit for item in items}
         if len(units) > 1:
             raise EstimationError(f"the coefficients of '{name}' have different units ({', '.join(sorted(units))})")
@@ -333,8 +343,25 @@ def _quantities(request: EstimateRequest[RepeatabilityParameters]) -> list[Repea
         if not np.isfinite(values).all() and math.isnan(expected):
             raise UnfitDataError(f"'{name}' is not a finite number in every estimate")
         group = np.zeros(len(items), dtype=np.int64)
-        found.append(Repeats(name, units.pop(), texts, values, own, group, items[0].period, expected))
+        shared = _correlation(places, request.uses)
+        found.append(
+            Repeats(name, units.pop(), texts, values, own, group, items[0].period, expected, correlation=shared)
+        )
     return found
+
+
+def _correlation(places: Sequence[tuple[str, int]], uses: Mapping[str, Estimate]) -> float:
+    """Returns the correlation coefficient of the two most correlated coefficients of one estimate; zero if no two coefficients come
+    from the same estimate. `places`: for each coefficient, the name of its estimate and its index there."""
+    largest = 0.0
+    for (one, i), (other, j) in combinations(places, 2):
+        if one != other:
+            continue
+        covariance = uses[one].covariance
+        size = math.sqrt(float(covariance[i, i] * covariance[j, j]))
+        found = float(covariance[i, j]) / size if size > 0 else 0.0
+        largest = max(largest, found, key=abs)
+    return largest
 
 
 def _expected_variance(names: Sequence[str], uses: Sequence[Estimate]) -> float:
@@ -583,6 +610,16 @@ def _warnings(one: Repeats, split: Variance) -> list[Said]:
                     chance=chance,
                 )
             )
+    if abs(one.correlation) > _CORRELATED:
+        found.append(
+            said(
+                "{name}: coefficients of the same estimate are compared, and their errors are correlated (largest correlation "
+                "coefficient: {correlation:.2g}). Their scatter does not show errors that they have in common. Compare "
+                "coefficients of separate estimates.",
+                name=one.name,
+                correlation=one.correlation,
+            )
+        )
     unnamed = _unnamed_groups(one)
     chance = chance_of_order(one.value, one.group)
     if unnamed:

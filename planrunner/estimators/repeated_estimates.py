@@ -52,14 +52,28 @@ def repeated(
         chosen[name] = set(select(labels, patterns_of(spec)))
         for group in groups:
             first = specs[group[0]]
-            alike = (spec.estimator, spec.parameters, spec.uses) == (first.estimator, first.parameters, first.uses)
             apart = all(chosen[name].isdisjoint(chosen[other]) for other in group)
-            if alike and apart and _states(chosen[name], recording) == _states(chosen[group[0]], recording):
+            if (
+                apart
+                and _alike(spec, first)
+                and _states(chosen[name], recording) == _states(chosen[group[0]], recording)
+            ):
                 group.append(name)
                 break
         else:
             groups.append([name])
     return [group for group in groups if len(group) > 1]
+
+
+def _alike(one: EstimateSpec, other: EstimateSpec) -> bool:
+    """Returns True if two estimates have the same estimator, parameters and inputs. Parameters that cannot be compared, such as arrays
+    of an estimator from elsewhere, count as different."""
+    if (one.estimator, one.uses) != (other.estimator, other.uses):
+        return False
+    try:
+        return bool(one.parameters == other.parameters)
+    except Exception:  # an estimator may come from anywhere
+        return False
 
 
 def _states(chosen: set[int], recording: Sequence[RecordedSegment]) -> frozenset[object]:
@@ -71,7 +85,7 @@ def _state(one: Segment) -> object:
     as equal: they excite the same channels, and estimates of them are compared with their own uncertainties."""
     attitude = None if one.attitude is None else tuple((one.attitude.round(6) + 0.0).ravel().tolist())
     motion = RecordedMotion.__name__ if isinstance(one.motion, RecordedMotion) else repr(one.motion)
-    return attitude, motion, one.temperature, one.ramp_to, one.supply_voltage, one.ambient_pressure, one.mode
+    return attitude, motion, one.begins_at, one.ramp_to, one.supply_voltage, one.ambient_pressure, one.mode
 
 
 def _scatter_words(names: Sequence[str], estimates: Sequence[Estimate]) -> Said | None:

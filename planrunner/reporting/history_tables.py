@@ -135,7 +135,19 @@ def scatter_sentence(found: RunComparison) -> str:
     if not more:
         return "The runs scatter no more than the stated uncertainties allow (scatter/u: Birge ratio; p: probability by chance)."
     listed = ", ".join(f"{one.quantity} ({one.scatter.ratio:.2g} times)" for one in more if one.scatter is not None)
-    return f"The runs scatter more than their standard uncertainties allow: {listed}. The stated uncertainties are too small for repeats."
+    said = f"The runs scatter more than their standard uncertainties allow: {listed}."
+    differ = [
+        what
+        for what, names in (
+            ("device", {run.device for run in found.runs}),
+            ("bench", {run.bench for run in found.runs}),
+            ("laboratory", {run.laboratory for run in found.runs}),
+        )
+        if len(names) > 1
+    ]
+    if differ:
+        return f"{said} The runs do not have the same {' and '.join(differ)}: the differences may be real."
+    return f"{said} The stated uncertainties are too small for repeats."
 
 
 def gauge_table(found: GaugeStudy, unit: str) -> Table:

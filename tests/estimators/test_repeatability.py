@@ -9,7 +9,14 @@ import numpy as np
 import pytest
 from recorded import from_means, noisy, segment, sensor
 
-from planrunner.estimators.interface import Coefficient, DesignRequest, Estimate, EstimateRequest, EstimationError
+from planrunner.estimators.interface import (
+    Coefficient,
+    Design,
+    DesignRequest,
+    Estimate,
+    EstimateRequest,
+    EstimationError,
+)
 from planrunner.estimators.method import designed
 from planrunner.estimators.repeatability import (
     Repeatability,
@@ -345,3 +352,26 @@ def test_coefficients_with_different_names_are_compared() -> None:
             repeats(made, quantities={"r": ("of_x.r_accel_x", wrong)})
     with pytest.raises(EstimationError, match="leave `coefficients`"):
         repeats(made, quantities=quantities, coefficients=("r",))
+
+
+def test_a_quantity_contains_each_coefficient_once() -> None:
+    made = {f"of_{axis}": given(value, f"r_{axis}", "m", 0.01) for axis, value in (("x", 1.0), ("y", 1.2))}
+    quantities = {"r": ("of_x.r_x", "of_y.r_y", "of_x.r_x")}
+    with pytest.raises(EstimationError, match=r"the quantity 'r' contains 'of_x.r_x' twice"):
+        repeats(made, quantities=quantities)
+    parameters, uses = RepeatabilityParameters(quantities=quantities), dict.fromkeys(made, Design(()))
+    request = DesignRequest("again", (), parameters, SITE, sensor("gyro"), uses)
+    with pytest.raises(EstimationError, match="twice"):
+        Repeatability().design(request)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.9, -0.9])
+def test_correlated_coefficients_of_one_estimate_are_named(correlation: float) -> None:
+    """Two coefficients of `one` and one of `other`: the difference of the first two has the variance 2u²(1 − r) instead of 2u²."""
+    u = 0.1
+    items = tuple(Coefficient(f"r_{axis}", 1.0 + 0.1 * k, "m", u) for k, axis in enumerate("xy"))
+    one = Estimate("cal", "other", items, u**2 * np.array([[1.0, correlation], [correlation, 1.0]]))
+    made = {"one": one, "other": given(0.95, "r_z", "m", u)}
+    found = repeats(made, quantities={"r": ("one.r_x", "other.r_z", "one.r_y")})
+    words = [text for text in found.warnings if "coefficients of the same estimate" in text]
+    assert bool(words) == bool(correlation) and all(f"{correlation:.2g})" in text for text in words)

@@ -10,11 +10,14 @@ import pytest
 from recorded import from_samples, segment, sensor
 
 from planrunner.archive.recording import RecordedSegment
+from planrunner.base.arrays import Array
 from planrunner.estimators.analysis import analyse
 from planrunner.estimators.interface import Estimate
 from planrunner.estimators.repeatability import RepeatabilityParameters
+from planrunner.estimators.repeated_estimates import with_scatter_words
 from planrunner.estimators.scale_factor import ScaleFactorParameters
 from planrunner.physics.earth import Site
+from planrunner.plan.kinds import Record
 from planrunner.plan.model import EstimateSpec
 from planrunner.plan.schedule import Spin
 
@@ -77,6 +80,33 @@ def test_repeats_that_agree_give_no_warning() -> None:
 def test_estimates_at_other_temperatures_are_no_repeats(degrees: tuple[float, float]) -> None:
     found = made(recorded(2, (1.0, 1.02), degrees), 2)
     assert bool(warned(found["turn_0"])) == (degrees[0] == degrees[1])
+
+
+@pytest.mark.parametrize("kelvin", [(293.15, 333.15), (293.15, 293.15)])
+def test_a_temperature_that_the_chamber_keeps_counts_as_stated(kelvin: tuple[float, float]) -> None:
+    recording = [
+        replace(one, segment=replace(one.segment, kept_temperature=kelvin[number // len(RATES)]))
+        for number, one in enumerate(recorded(2, (1.0, 1.02)))
+    ]
+    assert bool(warned(made(recording, 2)["turn_0"])) == (kelvin[0] == kelvin[1])
+
+
+class Weighted(Record):
+    """Parameters of an estimator from elsewhere: an array cannot be compared as a whole."""
+
+    weights: Array
+
+
+def test_parameters_that_cannot_be_compared_do_not_prevent_the_analysis() -> None:
+    recording = recorded(3, (1.0, 1.01))
+    estimates = made(recording, 2)
+    specs = {
+        name: EstimateSpec(estimator="own", segments=(f"T{k}-*",), parameters=Weighted(weights=np.ones(3)))
+        for k, name in enumerate(estimates)
+    }
+    with pytest.raises(ValueError, match="ambiguous"):
+        _ = specs["turn_0"].parameters == specs["turn_1"].parameters
+    assert with_scatter_words(estimates, specs, recording) == estimates
 
 
 def test_estimates_that_a_plan_compares_itself_are_left_to_it() -> None:

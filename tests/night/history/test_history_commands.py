@@ -138,6 +138,35 @@ def test_the_history_begins_again_after_an_accepted_change(archive: Path, capsys
     assert "too few values" in answer(capsys, *words[:-1], "2034-01-01")
 
 
+def test_runs_of_different_devices_or_benches_are_no_repeats(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = [replace(BASE, values={"bias": (1.0 + k, 0.1)}) for k in range(2)]
+    others = {
+        "device": replace(made[1], device="FG-8"),
+        "bench": replace(made[1], bench="bench 2"),
+        "bench and laboratory": replace(made[1], bench="bench 2", laboratory="south"),
+    }
+    first = make_run(tmp_path, made[0], 0)
+    for number, (what, one) in enumerate(others.items(), start=1):
+        said = answer(capsys, "compare", str(first), str(make_run(tmp_path, one, number)), code=1)
+        assert "too small for repeats" not in said
+        assert f"The runs do not have the same {what}: the differences may be real." in " ".join(said.split())
+
+
+def test_json_without_the_scatter_of_the_runs_remains_valid(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The key `scatter` was added to format 1: files of versions before it do not contain this key."""
+    runs = [str(archive / f"{number:04d}-calibration") for number in (0, 8)]
+    compared = valid("comparison", answer(capsys, "compare", *runs, "--json", code=1))
+    for one in compared["coefficients"]:
+        del one["scatter"]
+    valid("comparison", json.dumps(compared))
+    words = ("history", "FG-7", "drift.slope", "--runs", str(archive), "--json")
+    history = valid("history", answer(capsys, *words))
+    del history["scatter"]
+    valid("history", json.dumps(history))
+
+
 def test_names_are_listed_and_corrected(archive: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert answer(capsys, "history", "FG-7", "--runs", str(archive)) == "drift.bias\ndrift.slope\n"
     assert main(["history", "FG-9", "drift.bias", "--runs", str(archive)]) == 2
@@ -168,7 +197,8 @@ def test_runs_are_compared(archive: Path, capsys: pytest.CaptureFixture[str]) ->
     assert slope["largest_en"] == 0.0
     assert bias["scatter"]["ratio"] == pytest.approx(abs(values[1] - values[0]) / np.hypot(0.1, 0.1))
     assert slope["scatter"]["chance"] == 1.0
-    assert "drift.bias (6.7 times)" in answer(capsys, "compare", *runs, code=1)
+    said = answer(capsys, "compare", *runs, code=1)
+    assert "drift.bias (6.7 times)" in said and "uncertainties are too small for repeats" in said
     assert "largest |E_n|" in answer(capsys, "compare", *runs, code=1)
     answer(capsys, "compare", runs[0], runs[0])
     assert main(["compare", runs[0]]) == 2 and main(["compare", runs[0], str(archive)]) == 2
