@@ -356,7 +356,7 @@ def test_coefficients_with_different_names_are_compared() -> None:
 
 def test_a_quantity_contains_each_coefficient_once() -> None:
     made = {f"of_{axis}": given(value, f"r_{axis}", "m", 0.01) for axis, value in (("x", 1.0), ("y", 1.2))}
-    quantities = {"r": ("of_x.r_x", "of_y.r_y", "of_x.r_x")}
+    quantities: dict[str, tuple[str, ...]] = {"r": ("of_x.r_x", "of_y.r_y", "of_x.r_x")}
     with pytest.raises(EstimationError, match=r"the quantity 'r' contains 'of_x.r_x' twice"):
         repeats(made, quantities=quantities)
     parameters, uses = RepeatabilityParameters(quantities=quantities), dict.fromkeys(made, Design(()))
