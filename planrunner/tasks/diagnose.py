@@ -538,7 +538,7 @@ def _meant(recorded: Recorded) -> tuple[RecordedSegment, ...]:
         found += [_stretch(item, number, one.span) for number, one in enumerate(spans, start=1)]
     if not found:
         message, hint = "no interval at rest was found in the recording", "raise `threshold` or shorten `at_least`"
-        size = _size_of_force([recorded.segments[index] for index in within], spec.segments.channels)
+        size = _size_of_force([recorded.segments[index] for index in within])
         if not 1 / _WRONG_UNIT < size < _WRONG_UNIT:
             message += f"; the root mean square of the specific force is {size:.3g} g"
             hint = "check the unit of the accelerometers in the bench file; at rest, they measure 1 g"
@@ -550,15 +550,21 @@ _WRONG_UNIT = 3.0
 """If the root mean square of the specific force is this many times larger or smaller than gravity, the unit is probably wrong."""
 
 
-def _size_of_force(segments: Sequence[RecordedSegment], channels: Sequence[str]) -> float:
-    """Returns the root mean square of the specific force over some segments, g; 1 if no segment has samples. `channels`: names of the
-    accelerometers."""
+def _size_of_force(segments: Sequence[RecordedSegment]) -> float:
+    """Returns the root mean square of the specific force over some segments, g, from one accelerometer for each sensor axis; 1 if no
+    segment has samples of accelerometers along three axes."""
     import math
+
+    from planrunner.error_model.observed import KINDS, axis_of
 
     squares, count = 0.0, 0
     for item in segments:
         known = item.statistics
-        for name in channels if known.count else ():
+        forces = [name for name in known.channels if KINDS.get(unit(item.units[name]).dimension) == "accel"]
+        triad = {axis_of(name): name for name in reversed(forces) if axis_of(name) is not None}
+        if len(triad) < 3 or not known.count:
+            continue
+        for name in triad.values():
             at, factor = known.of(name), unit(item.units[name]).factor
             squares += known.count * factor**2 * float(known.mean[at] ** 2 + known.covariance[at, at])
         count += known.count

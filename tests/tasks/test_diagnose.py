@@ -297,6 +297,23 @@ def test_a_wrong_unit_that_hides_the_intervals_at_rest_is_said(tmp_path):
     assert "no interval at rest was found in the recording; the root mean square of the specific force is 10" in said
 
 
+@pytest.mark.parametrize("wrong", [True, False])
+def test_one_accelerometer_does_not_show_a_wrong_unit(tmp_path, wrong):
+    """A vibrating sensor at rest with z up: x does not measure gravity. The unit is wrong if all accelerometers together say so."""
+    laboratory(tmp_path, [row for row in listed() if row.axes.endswith("up") and not row.rate])
+    keys = "{segments: {detect: still, window: 0.5 s, threshold: 0.1 m/s^2, at_least: 1 s, channels: [accel_x]}}"
+    diagnosed_with(tmp_path, keys)
+    table = pq.read_table(tmp_path / "recording.parquet").to_pandas()
+    force = [name for name in table.columns if name.startswith("accel")]
+    table[force] *= 1000 / 9.80665 if wrong else 1.0
+    table[force] += np.random.default_rng(1).normal(0, 0.5, table[force].shape)
+    table.to_parquet(tmp_path / "recording.parquet")
+    said = refused(tmp_path)
+    assert "no interval at rest was found in the recording" in said
+    assert ("the root mean square of the specific force is 102 g" in said) == wrong
+    assert ("the root mean square" in said) == wrong
+
+
 def test_some_orientations_unknown_and_others_not_is_refused(tmp_path):
     laboratory(tmp_path)
     replace(
