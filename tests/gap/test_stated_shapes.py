@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,8 @@ from planrunner.error_model.effects.gyro import GyroGSensitivity
 from planrunner.error_model.effects.interface import OutsideCoefficients, effect_named
 from planrunner.error_model.effects.warming import GyroWarmUp
 from planrunner.error_model.observed import Observed
-from planrunner.gap.answer.parameters import of_noise, shape
+from planrunner.gap.answer.parameters import _density, of_noise, shape
+from planrunner.gap.evidence.weighing import WALKS, Setting
 from planrunner.gap.hypotheses.candidates import Weighing
 from planrunner.gap.hypotheses.forms import candidates_of
 from planrunner.plan.units import STANDARD_GRAVITY
@@ -41,6 +44,28 @@ def test_the_density_of_a_random_walk_deviates_by_its_uncertainty() -> None:
         away.append((density.value - _DENSITY) / density.standard_uncertainty)
     assert np.mean(np.abs(away) <= 2) >= 0.9
     assert 0.6 < np.sqrt(np.mean(np.square(away))) < 1.4
+
+
+@pytest.mark.parametrize("number", [10, 100, 1000, 10_000])
+@pytest.mark.parametrize(("times", "edge"), [(0.0, True), (0.15, True), (0.5, True), (15.0, False), (150.0, True)])
+def test_a_density_outside_the_evaluated_levels_has_an_uncertainty_that_covers_it(
+    number: int, times: float, edge: bool
+) -> None:
+    """`number` increments, whose variance is 1 + w², have exactly the expected scatter. `times`: the true density w divided by the
+    smallest evaluated density."""
+    walks = np.sqrt(WALKS)
+    settings = (Setting(0.0, 0.0, 1.0, False), *(Setting(0.0, walk, 0.01, False) for walk in walks.tolist()))
+    true = times * walks[0]
+    variance = 1 + np.array([setting.walk for setting in settings]) ** 2
+    weighing = SimpleNamespace(
+        settings={"gyro": settings},
+        base=-number / 2 * (np.log(variance) + (1 + true**2) / variance),
+        log_prior=(None, np.append(-np.inf, np.zeros(len(walks)))),
+        shape=(len(settings), 1),
+    )
+    mean, spread = _density(weighing, None)  # type: ignore[arg-type]
+    assert abs(mean - true) < 2 * spread
+    assert (spread >= mean) == edge
 
 
 @pytest.mark.parametrize(("tau", "edge"), [(1500.0, False), (12000.0, True)])

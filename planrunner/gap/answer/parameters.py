@@ -167,7 +167,8 @@ def _density(weighing: Weighing, beside: Weighed | None) -> tuple[float, float]:
     """Returns posterior mean and standard deviation of the density of the random walk, SI/√s. The evaluated levels are often further
     apart than the uncertainty of the density. Therefore, the log evidence is interpolated between the levels by a spline of the
     logarithm of the density, and integrated over a fine grid. The standard deviation includes the spacing of the fine grid and the
-    difference between the means for a cubic and a quintic spline. `beside`: the same as in `of_noise`."""
+    difference between the means for a cubic and a quintic spline. If the density may lie outside the evaluated levels, the standard
+    deviation is at least the mean. `beside`: the same as in `of_noise`."""
     from scipy.interpolate import make_interp_spline
 
     settings = weighing.settings["gyro"]
@@ -195,7 +196,7 @@ def _density(weighing: Weighing, beside: Weighed | None) -> tuple[float, float]:
         weight /= weight.sum()
         mean = float(weight @ np.exp(fine))
         variance = float(weight @ (np.exp(fine) - mean) ** 2) + (mean * (fine[1] - fine[0])) ** 2 / 12
-        found.append((mean, variance, bool(total[-1] > total.max() - _AT_THE_EDGE)))
+        found.append((mean, variance, bool(total[[0, -1]].max() > total.max() - _AT_THE_EDGE)))
     (cubic, _, _), (mean, variance, limit) = found
     spread = float(np.sqrt(variance + (mean - cubic) ** 2))
     return mean, max(spread, mean) if limit else spread
@@ -203,8 +204,8 @@ def _density(weighing: Weighing, beside: Weighed | None) -> tuple[float, float]:
 
 _FINE = 4001  # number of values of the density, over the range of the evaluated levels
 _AT_THE_EDGE = 2.0
-"""If the log evidence of the largest level of the random walk is less than this value (in nats) below the largest log evidence, the
-density may be above every level."""
+"""If the log evidence of the smallest or the largest level of the random walk is less than this value (in nats) below the largest log
+evidence, the density may be outside the evaluated levels."""
 _NEAR = 0.5
 """If the log evidence of the first or last value of a shape is less than this value (in nats, one standard deviation of a parabola)
 below the largest log evidence, the shape may be outside the evaluated range."""
