@@ -34,6 +34,7 @@ from planrunner.estimators.tables import Table as Table
 from planrunner.estimators.tables import TableColumn as TableColumn
 from planrunner.estimators.unstated_flicker import UnstatedFlicker
 from planrunner.instruments.models import SensorModel, TableModel
+from planrunner.observation.refusals import EffectAbsentError as EffectAbsentError
 from planrunner.observation.refusals import EstimationError as EstimationError
 from planrunner.observation.refusals import UnfitDataError as UnfitDataError
 from planrunner.physics.earth import Site

@@ -28,3 +28,13 @@ class EstimationError(Exception):
 class UnfitDataError(EstimationError):
     """Reports that the plan is correct but the recorded data are not suitable for the estimate: the fault is in the item under test
     or in the recording."""
+
+
+class EffectAbsentError(EstimationError):
+    """Reports that an effect does not act on an output in the segments of an estimate. `effect`: name of the effect. `output`: name
+    of the output."""
+
+    def __init__(self, effect: str, output: str, message: str, hint: str):
+        super().__init__(message, hint, f"outputs.{output}")
+        self.effect = effect
+        self.output = output

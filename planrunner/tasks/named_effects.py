@@ -21,7 +21,7 @@ from planrunner.error_model.effects.interface import (
 from planrunner.error_model.observed import orientation_key
 from planrunner.estimators.error_model.parameters import ErrorModelParameters
 from planrunner.estimators.foresight import design_of
-from planrunner.estimators.interface import Design, EstimationError
+from planrunner.estimators.interface import Design, EffectAbsentError, EstimationError
 from planrunner.plan import source
 from planrunner.plan.rewriting import appended
 from planrunner.plan.schedule import RecordedMotion, Rest, Segment, Spin
@@ -57,9 +57,9 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
     # Named effects come first: of terms that the segments do not separate, the last is left out.
     effects = {name: effect_named(name) for name in dict.fromkeys((*named, *made.diagnosis.grounds.nominal))}
     outputs = _outputs(observed, effects)
+    hint = "use --compare, which adds the effect to a simulation" if sound.models.replays else "use --write-bench"
     if not any(name in own for own in outputs.values() for name in named):
         why = "; ".join(f"{name}: {_why_not(effects[name], observed)}" for name in named)
-        hint = "use --compare, which adds the effect to a simulation" if sound.models.replays else "use --write-bench"
         raise InputError.at(where, "gap-estimate", f"the named effect cannot be estimated: {why}", hint)
     used = Rest | Spin | RecordedMotion
     labels = [segment.label for segment in sound.schedule.segments if isinstance(segment.motion, used)]
@@ -74,12 +74,19 @@ def plan_with_estimate(made: Diagnosed) -> Checked:
         name, text = _with_estimate(original, {**keys, "outputs": outputs}, left_out)
         checked = check_plan(Document(text.encode(), sound.file), bench)
         if not _reduced(_design_as_recorded(checked, name, recorded), outputs, left_out):
-            return checked
+            break
+    kept = {term.partition(".")[0] for terms in outputs.values() for term in terms}
+    refused = [finding.message for finding in checked.findings if finding.severity == "error"]
+    if refused or kept.isdisjoint(named):
+        reasons = refused or [f"{name}: the segments that an estimate can use do not determine it" for name in named]
+        raise InputError.at(where, "gap-estimate", f"the named effect cannot be estimated: {'; '.join(reasons)}", hint)
+    return checked
 
 
-def _design_as_recorded(checked: Checked, name: str, recorded: Recorded) -> Design | None:
+def _design_as_recorded(checked: Checked, name: str, recorded: Recorded) -> Design | EffectAbsentError | None:
     """Returns the design of an estimate on the segments of a plan. A temperature, supply voltage or pressure that the segments do
-    not state has its recorded mean, if the estimate names the channel. The result is None if the estimate is not valid."""
+    not state has its recorded mean, if the estimate names the channel. Returns the error if an effect does not act on an output in
+    these segments, and None if the estimate is not valid for another reason."""
     plan, sound = checked.plan, recorded.sound
     spec = None if plan is None else plan.estimates.get(name)
     if spec is None or not isinstance(spec.parameters, ErrorModelParameters):
@@ -105,13 +112,28 @@ def _design_as_recorded(checked: Checked, name: str, recorded: Recorded) -> Desi
     ]
     try:
         return design_of(name, spec, segments, sound.models.site, sound.sensor, checked.designs, checked.setup)
+    except EffectAbsentError as absent:
+        return absent
     except EstimationError:
         return None
 
 
-def _reduced(design: Design | None, outputs: dict[str, list[str]], left_out: dict[str, list[str]]) -> bool:
+def _reduced(
+    design: Design | EffectAbsentError | None, outputs: dict[str, list[str]], left_out: dict[str, list[str]]
+) -> bool:
     """Removes the terms that the segments of a plan do not determine or separate from `outputs`, and enters them in `left_out`.
-    Returns False if there are none, or if no term of any output would remain. `design`: design of the estimate."""
+    Returns False if there are none, or if no term of any output would remain. `design`: design of the estimate, or an error about
+    one effect that does not act on an output."""
+    if isinstance(design, EffectAbsentError):
+        output = design.output
+        absent = [term for term in outputs[output] if term.partition(".")[0] == design.effect]
+        if not absent or outputs == {output: absent}:
+            return False
+        left_out.setdefault(output, []).extend(absent)
+        outputs[output] = [term for term in outputs[output] if term not in absent]
+        if not outputs[output]:
+            del outputs[output]
+        return True
     found = [] if design is None else [one for one in design.remarks if one.superfluous]
     changes = {one.key.removeprefix("outputs."): one for one in found}
     if not changes or all(output in changes and not changes[output].keeps for output in outputs):

@@ -34,7 +34,7 @@ from planrunner.error_model.segment_columns import (
 from planrunner.estimators.error_model.parameters import AXES, ErrorModelParameters
 from planrunner.estimators.error_model.sampled_outputs import SampledOutputs
 from planrunner.estimators.error_model.within import SampledOutput, WithinFit, fit_within
-from planrunner.estimators.interface import EstimationError
+from planrunner.estimators.interface import EffectAbsentError, EstimationError
 from planrunner.estimators.stated_errors import mean_stimulus
 from planrunner.instruments.models import SensorModel
 from planrunner.physics.earth import Site
@@ -351,10 +351,7 @@ def _must_change(output: SampledOutput) -> None:
         if not isinstance(part.effect, ChangesWithinSegments):
             continue
         if not len(model.grid(part)):
-            words = shown_by(part.effect)
-            message = f"'{part.effect.id}' does not act on {errors.output}, {_WORDS[errors.kind]}, in these segments"
-            hint = f"leave it out, or record segments that show it ({words})" if words else "leave it out"
-            raise EstimationError(message, hint, key)
+            raise _absent(part.effect, errors)
         if part.effect.acts_on == "output" and output.unit.dimension != unit(KINDS[errors.kind]).dimension:
             message = f"'{part.effect.id}' has a shape in {part.effect.shape_unit}, but {errors.output} is in {output.unit.text}"
             raise EstimationError(message, "leave it out, or record the output as a rate", key)
@@ -388,10 +385,14 @@ def _must_act(errors: OutputErrors, columns: OutputColumns) -> None:
             message = f"'{effect}' has no parameter '{missing[0]}' in {errors.output}"
             raise EstimationError(message, closest(missing[0], columns.available[effect]), key)
         if not here:
-            words = shown_by(item.effect)
-            message = f"'{effect}' does not act on {errors.output}, {_WORDS[errors.kind]}, in these segments"
-            hint = f"leave it out, or record segments that show it ({words})" if words else "leave it out"
-            raise EstimationError(message, hint, key)
+            raise _absent(item.effect, errors)
+
+
+def _absent(effect: Effect, errors: OutputErrors) -> EffectAbsentError:
+    message = f"'{effect.id}' does not act on {errors.output}, {_WORDS[errors.kind]}, in these segments"
+    words = shown_by(effect)
+    hint = f"leave it out, or record segments that show it ({words})" if words else "leave it out"
+    return EffectAbsentError(effect.id, errors.output, message, hint)
 
 
 def _coefficient(errors: OutputErrors, own: Unit, one: Amplitude) -> ReportedAmplitude:
