@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +15,14 @@ from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from planrunner.cli import main
-from planrunner.instruments.recording_look import Look
 from planrunner.reporting import recording_picture
+from tests.recording_pictures import check_picture
 
 DATA = Path(os.environ.get("PLANRUNNER_DATA", Path(__file__).parents[3] / "shared" / "data"))
 real_data = pytest.mark.skipif(
     not (DATA / "broad").is_dir(), reason="the real recordings are not there (PLANRUNNER_DATA)"
 )
 RATE = 50.0
-DRAWN = 6
 Array = NDArray[np.float64]
 
 
@@ -43,19 +42,19 @@ def tumbled(noise: float = 0.01) -> tuple[Array, Array, Array]:
     return time, g + draw.normal(0, noise / 10, g.shape), a + draw.normal(0, noise, a.shape)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def a_few_pictures_are_drawn() -> Iterator[None]:
-    """Drawing takes as long as all else. The first `DRAWN` recordings are drawn: the picture of a further one is that of the last."""
-    draw, drawn = recording_picture.recording_picture, list[str]()
+NOT_DRAWN = "<svg/>"
 
-    def sparing(look: Look) -> str:
-        if len(drawn) < DRAWN:
-            drawn.append(draw(look))
-        return drawn[-1]
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(recording_picture, "recording_picture", sparing)
-        yield
+@pytest.fixture
+def drawn() -> None:
+    """The fast suite draws the recordings of the tests that use this fixture: drawing takes as long as all else."""
+
+
+@pytest.fixture(autouse=True, params=["some", pytest.param("all", marks=pytest.mark.slow)])
+def drawing(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The recordings with `drawn` are drawn, and as slow tests all recordings."""
+    if request.param == "some" and "drawn" not in request.fixturenames:
+        monkeypatch.setattr(recording_picture, "recording_picture", lambda look: NOT_DRAWN)
 
 
 def begun(recording: Path, *more: str, capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
@@ -63,7 +62,9 @@ def begun(recording: Path, *more: str, capsys: pytest.CaptureFixture[str]) -> di
     plan = recording.parent / "begun.yaml"
     assert main(["new", "--from-recording", str(recording), str(plan), *more, "--json"]) == 0, capsys.readouterr().err
     said: dict[str, object] = json.loads(capsys.readouterr().out)
-    assert (recording.parent / "begun.svg").read_text(encoding="utf-8").startswith("<svg")
+    svg = (recording.parent / "begun.svg").read_text(encoding="utf-8")
+    if svg != NOT_DRAWN:
+        check_picture(svg, [one["channel"] for one in said["channels"]])  # type: ignore[attr-defined]
     assert main(["check", str(plan), "--data", str(recording.parent)]) == 0, capsys.readouterr().err
     capsys.readouterr()
     return said
@@ -89,6 +90,7 @@ def test_a_text_without_names_is_recognised_by_the_length_of_gravity(
     capsys.readouterr()
 
 
+@pytest.mark.usefixtures("drawn")
 def test_names_units_and_the_time_of_a_header(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time, gyro, accel = tumbled()
     table = np.column_stack(
@@ -140,6 +142,7 @@ def test_a_clock_that_repeats_itself_is_not_used(tmp_path: Path, capsys: pytest.
     assert "in 2 rows the time of the file does not increase" in (tmp_path / "begun.bench.yaml").read_text()
 
 
+@pytest.mark.usefixtures("drawn")
 def test_pauses_are_pointed_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time = np.concatenate([300.0 * k + np.arange(500) / 50 for k in range(4)])
     omega = np.random.default_rng(4).normal(0.1, 0.02, 2000)
@@ -254,6 +257,7 @@ def test_nothing_is_said_of_axes_that_the_motion_does_not_show(
     assert "axes" not in (tmp_path / "begun.bench.yaml").read_text()
 
 
+@pytest.mark.usefixtures("drawn")
 def test_rows_of_slower_instruments_are_set_aside(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A log of three messages: every tenth row is one of the thermometer, with the fields of the others empty."""
     time, gyro, accel = turned()
@@ -386,6 +390,7 @@ def test_a_step_back_is_no_return_of_a_counter_to_zero(
     assert "time: sample_count # in 1 row the time of the file does not increase" in bench and "pauses" not in bench
 
 
+@pytest.mark.usefixtures("drawn")
 def test_windows_without_numbers_have_no_scatter(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A unit at rest whose accelerometers have numbers in 12 of 20 seconds."""
     time, draw = np.arange(10_000) / 100, np.random.default_rng(4)
@@ -428,6 +433,7 @@ def test_a_rate_that_changes_is_pointed_out(tmp_path: Path, capsys: pytest.Captu
     assert said["still_s"][-1][0] == pytest.approx(54.0, abs=1.1)  # type: ignore[index]
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_dead_channel_is_pointed_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time, gyro, accel = turned()
     gyro[:, 1] = 0
@@ -436,6 +442,7 @@ def test_a_dead_channel_is_pointed_out(tmp_path: Path, capsys: pytest.CaptureFix
     assert [line.split(":")[0].strip() for line in lines if "never changes" in line] == ["gyro_y"]
 
 
+@pytest.mark.usefixtures("drawn")
 def test_columns_named_by_their_axis_keep_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     time, _, accel = turned()
     said = begun(csv(tmp_path / "r.csv", "seconds,z,y,x", time, accel[:, ::-1]), capsys=capsys)
@@ -568,6 +575,7 @@ def test_short_pieces_with_long_pauses_become_segments(tmp_path: Path, capsys: p
     assert main(["check", str(tmp_path / "begun.yaml"), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_slow_recording_at_rest_is_at_rest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """At 10 Hz, half a second contains five samples."""
     draw = np.random.default_rng(10)

@@ -29,7 +29,9 @@ from planrunner.cli import main
 from planrunner.instruments.formats.guessing import guessed_channel
 from planrunner.instruments.recording_look import look_at
 from planrunner.reporting import recording_picture
+from planrunner.reporting.recording_picture import recording_picture as draw
 from tests import dataflash_bytes, ros_bytes
+from tests.recording_pictures import check_picture
 
 Array = NDArray[np.float64]
 G = 9.80665
@@ -43,7 +45,7 @@ IN_M = {"m/s^2": 1.0, "g": G, "mg": 1e-3 * G}
 
 @pytest.fixture(autouse=True)
 def no_picture_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Drawing takes longer than reading most of these files; `test_begin_from_recording` draws."""
+    """Drawing takes longer than reading most of these files; `test_a_recording_is_drawn` draws."""
     monkeypatch.setattr(recording_picture, "recording_picture", lambda look: "<svg/>")
 
 
@@ -616,6 +618,18 @@ def test_time_units_and_axes_are_found(tmp_path: Path, capsys: pytest.CaptureFix
             noise = GYRO_NOISE / IN_RAD[gyro] if one["channel"].startswith("gyro") else ACCEL_NOISE / IN_M[accel]
             assert one["noise"] == pytest.approx(noise, rel=0.2), one["channel"]
     assert main(["check", str(plan), "--data", str(tmp_path)]) == 0, capsys.readouterr().err
+
+
+DRAWN = ("german date", "readings", "sensor events", "shared times", "tdms waveforms", "whole seconds")
+"""Layouts whose samples lie in sparse columns, in one column for all channels, in waveforms or at repeated times."""
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(name, marks=[] if name in DRAWN else [pytest.mark.slow]) for name in CASES]
+)
+def test_a_recording_is_drawn(tmp_path: Path, case: str) -> None:
+    look = look_at(CASES[case][0](tmp_path), RATE if case == "vectornav" else None)
+    check_picture(draw(look), [one.name for one in look.channels])
 
 
 def test_a_bag_of_ros_is_evaluated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
