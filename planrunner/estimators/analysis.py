@@ -178,7 +178,11 @@ def _estimate(
         *rounded,
         *equal_outputs(counted, used),
         *transient_words(counted, used, sensor),
-        *(drift_within_words(counted, used, sensor) if isinstance(spec.parameters, FitsDrift) else ()),
+        *(
+            drift_within_words(counted, used, sensor, _thermometer(spec.parameters))
+            if isinstance(spec.parameters, FitsDrift)
+            else ()
+        ),
         *lost_samples(chosen, sensor.sample_rate),
         *thermometer_words(chosen, spec.parameters),
         *thermometer_count_words(estimate, thermometer_counts(counted, _thermometer(spec.parameters), sensor)),

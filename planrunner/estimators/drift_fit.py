@@ -53,6 +53,8 @@ FEW = 4
 DOUBTED = 0.2
 """In a fit with fewer than `FEW` degrees of freedom, a drift that is not adopted is doubted if its p-value, or the p-value of the
 residuals, is below this value. The change that a doubted drift would cause is included in the uncertainty."""
+_LEFT_BY_JUMP = 3  # least degrees of freedom of each output if a jump of the clock is assumed
+_SUPPORT = 100.0  # least ratio of the likelihoods of a jump of the clock and of scatter between segments
 _SEPARABLE = 1e-3  # smallest fraction of a drift function that the terms of the model must not reproduce
 _ROUNDING = 1e-9  # of the largest fitted value: smaller amplitudes are rounding errors
 
@@ -234,16 +236,28 @@ def _jumped(
     fits: Fits,
 ) -> ClockJump | None:
     """Returns a jump of the recording's clock if the noise does not explain the residuals of the fits without a drift (`plain`), but
-    explains the residuals of fits with a drift in the time without this jump. This function is used if no drift in the recorded time
-    is adopted. `matrix`: array of shape (n, p), the columns of the terms. `magnitudes`: array of shape (p,), their magnitudes."""
+    explains the residuals of fits with a drift in the time without this jump. This function is used if no drift in the recorded time is
+    adopted. `matrix`: array of shape (n, p), the columns of the terms. `magnitudes`: array of shape (p,), their magnitudes.
+
+    A random walk also gives such residuals by chance. Therefore, at least `_LEFT_BY_JUMP` degrees of freedom of each output must remain,
+    and the data must support the jump `_SUPPORT` times better than scatter of unknown size between the segments (BIC). The scatter is
+    that of three kinds of fits: without a drift, with a drift in the recorded time, and with a change of the outputs at the place of the
+    jump. The place counts as a further coefficient."""
     if not (drift.jumps and plain[0].degrees_of_freedom) or explained_by_noise(plain, noises):
         return None
+    n = len(matrix)
     for jump in drift.jumps:
         chosen: tuple[DriftCourse, ...] = ()
         without = DriftCourses(jump.courses)
+        further = [one for one in (*drift.courses, jump.step) if one.order < 2 and _separable(matrix / magnitudes, one)]
+        rivals = [plain, *(fits(joined(matrix, (one,))) for one in further)]
+        least = min(_criterion_of_scatter(rival, n) for rival in rivals) - 2 * np.log(_SUPPORT)
         while tried := _next(matrix, magnitudes, without, chosen, len(noises)):
             chosen = (*chosen, *tried)
-            if explained_by_noise(fits(joined(matrix, chosen)), noises):
+            found = fits(joined(matrix, chosen))
+            if found[0].degrees_of_freedom < _LEFT_BY_JUMP:
+                break
+            if explained_by_noise(found, noises) and _criterion(found, n) + np.log(n * len(found)) < least:
                 return jump
     return None
 
@@ -333,6 +347,16 @@ def _criterion(found: Sequence[LinearFit], n: int) -> float:
     each fitted coefficient, where N is the number of observations of all fits together."""
     terms = sum(n - one.degrees_of_freedom for one in found)
     return sum(one.chi_squared for one in found) + terms * float(np.log(n * len(found)))
+
+
+def _criterion_of_scatter(found: Sequence[LinearFit], n: int) -> float:
+    """Returns the information criterion of fits as `_criterion` does, but for residuals whose size is unknown. The size that is most
+    likely, but is not smaller than the noise, is used for each output."""
+    criterion = _criterion(found, n)
+    for one in found:
+        factor = max(one.variance_factor, 1.0) if one.degrees_of_freedom else 1.0
+        criterion += one.degrees_of_freedom * float(np.log(factor)) + one.chi_squared * (1 / factor - 1)
+    return criterion
 
 
 def _nonlinear(matrix: Array, plain: Sequence[LinearFit], fits: Fits) -> tuple[LinearFit, ...]:

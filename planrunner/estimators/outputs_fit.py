@@ -70,7 +70,8 @@ class OutputsFit:
     P, n), derivatives of the coefficients of all P columns with respect to the observations. `all_cofactors`: for each basis, an
     array of shape (m, P, m, P), the covariance of the coefficients of all P columns without the variance factors. `within`: number
     of observations at the end that are not means of segments (`Observations`). `unstated`: effects of unknown size, each described
-    for a size of one unit. The fit does not include them. `moving`: as in `Observations`.
+    for a size of one unit. The fit does not include them. `moving`: as in `Observations`. `alone`: array of shape (m,), variance
+    factors of a second fit, which is weighted by the noise alone; None if the first fit is not one with equal weights.
     """
 
     outputs: tuple[str, ...]
@@ -93,6 +94,7 @@ class OutputsFit:
     unstated: tuple[CorrelatedError, ...] = ()
     names: tuple[str, ...] = ()
     moving: bool = False
+    alone: Array | None = None
 
     @property
     def columns(self) -> Array:
@@ -149,21 +151,24 @@ class OutputsFit:
         the level `SIGNIFICANCE`), shape (m,). The variance of a mean is at least the variance that this noise causes, so such
         residuals are small by chance, or the segments have a change in common that looks like noise. The noise then gives the
         uncertainties and the degrees of freedom of the output, also for the basis `residual`. If the segments contain motion, their
-        scatter is no bound, because the motion is a part of it."""
+        scatter is no bound, because the motion is a part of it. An output with additional scatter between segments (`between`) is
+        not tested. If all segments have the same weight, the test uses a second fit (`alone`), because F applies only to residuals
+        that are divided by their own standard deviations."""
         m = len(self.fits)
         if self.moving or self.within or not self.freedom or not all(noise.known for noise in self.noises):
             return np.zeros(m, dtype=np.bool_)
         noise = np.array([one.degrees_of_freedom for one in self.noises])
         own = np.full(m, self.pooled_freedom if self.pooled else float(self.freedom))
-        ratios = self._residual_factors / self._noise_shares
+        ratios = self._residual_factors / self._noise_shares if self.alone is None else self.alone
         if self.pooled:
-            noise, ratios = np.full(m, noise.sum()), np.full(m, ratios.min())
+            least = ratios.min() if self.alone is None else ratios.mean()
+            noise, ratios = np.full(m, noise.sum()), np.full(m, least)
         if not np.any(ratios < 1 - _ROUNDING):  # predictions, too: `check` imports nothing heavy
             return np.zeros(m, dtype=np.bool_)
         from scipy.special import fdtr
 
         chances = fdtr(own, np.minimum(noise, _MANY), ratios)
-        return np.asarray((chances < SIGNIFICANCE) & ~np.any(self.between > 0))
+        return np.asarray((chances < SIGNIFICANCE) & (self.between == 0))
 
     @property
     def _residual_factors(self) -> Array:
@@ -355,6 +360,7 @@ def fit_outputs(
         tuple(unstated),
         tuple(names),
         observations.moving,
+        found.alone,
     )
 
 
@@ -369,6 +375,7 @@ class _Fitted:
     between: Array
     ratios: Array
     whitening: Array | None = None
+    alone: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -427,7 +434,9 @@ class _Weighting:
         judged = zip(found, self._fits(spreads, whitening), strict=True)
         fits = tuple(replace(one, chi_squared=by.chi_squared) for one, by in judged)
         gains = _gains(fits, self.matrix / spreads[..., None] ** 2)
-        return _Fitted(fits, gains, spreads, np.zeros(len(fits)), _factors(self.plain()), whitening)
+        ratios = _factors(self.plain())
+        alone = ratios if self.whitening is None else _factors(self._fits(self.sigma, None))
+        return _Fitted(fits, gains, spreads, np.zeros(len(fits)), ratios, whitening, alone)
 
     def pooled_freedom(self, found: _Fitted, correlation: Array) -> float:
         """Returns the degrees of freedom of the mean of the outputs' variance factors. A scaled χ² variable with these degrees of

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planrunner.archive.recording import RecordedSegment
 from planrunner.base.arrays import Array
@@ -83,13 +84,14 @@ class ClockJump:
 
     `label`: the segment after the pause, or the segment that contains the gap. `within`: True for a gap. `seconds`: length of the
     jump, s: the gap, or the pause minus the median of the other pauses. `courses`: the powers of the time without
-    the jump.
+    the jump. `step`: a change of the outputs at this place: 0 before it and 1 after it.
     """
 
     label: str
     within: bool
     seconds: float
     courses: tuple[DriftCourse, ...]
+    step: DriftCourse
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,32 +175,40 @@ def _jumps(
     test: Sequence[RecordedSegment], start: Array, end: Array, seconds: Array, rows: Sequence[int]
 ) -> tuple[ClockJump, ...]:
     """Returns the places at which the clock of the recording may have jumped, forward or back. A place counts only if the jump is at
-    least a tenth of the median time from segment to segment. `test`: the segments in the order in which they were recorded. `start`,
-    `end`: arrays of shape (n,), times of the segments, s. `seconds`: array of shape (n,), recorded time of the used samples, s.
-    `rows`: rows of the observations among the segments."""
+    least a tenth of the median time from segment to segment. `test`: the segments in the order of the plan. `start`, `end`: arrays of
+    shape (n,), times of the segments, s. `seconds`: array of shape (n,), recorded time of the used samples, s. `rows`: rows of the
+    observations among the segments.
+
+    After a jump back, the recorded times have a wrong order, but the plan has the true one. After a segment was recorded again, the plan
+    has a wrong order, but the times have the true one. If the two orders differ, both are used."""
     if len(test) < _FEWEST:
         return ()
-    pauses = start[1:] - end[:-1]
-    least = _OF_SPACING * float(np.median(np.abs(np.diff(start))))
-    after = int(np.argmax(np.abs(pauses - np.median(pauses))))
-    longer = float(pauses[after] - np.median(np.delete(pauses, after)))
-    gaps = np.array([one.statistics.largest_gap for one in test])
-    held = int(np.argmax(gaps))
-    found = []
-    for row, within, size in ((after + 1, False, longer), (held, True, float(gaps[held]))):
-        if abs(size) <= least:
-            continue
+    planned, timed = np.arange(len(start)), np.argsort(start, kind="stable")
+    orders = [planned] if np.array_equal(planned, timed) else [planned, timed]
+    least = _OF_SPACING * float(np.median(np.abs(np.diff(start[timed]))))
+    found: list[ClockJump] = []
+
+    def add(row: int, within: bool, size: float, later: NDArray[np.bool_]) -> None:
         begun, ended = start.copy(), end.copy()
         if within:
-            shared = np.any((start > start[row]) & (start < end[row]))  # the other segments have the planned times
-            later = (start >= end[row]) & ~shared
             ended[row] -= size
-        else:
-            later = np.arange(len(start)) >= row
         begun[later] -= size
         ended[later] -= size
         courses = tuple(replace(one, columns=one.columns[rows]) for one in in_time(begun, ended, seconds, _JUMPED))
-        found.append(ClockJump(test[row].label, within, size, courses))
+        after = ((start - begun) + (end - ended))[rows] / (2 * size)
+        found.append(ClockJump(test[row].label, within, size, courses, DriftCourse("step", "", after[:, None])))
+
+    for order in orders:
+        pauses = start[order][1:] - end[order][:-1]
+        last = int(np.argmax(np.abs(pauses - np.median(pauses))))  # before the jump
+        longer = float(pauses[last] - np.median(np.delete(pauses, last)))
+        if abs(longer) > least:
+            add(int(order[last + 1]), False, longer, np.isin(planned, order[last + 1 :]))
+    gaps = np.array([one.statistics.largest_gap for one in test])
+    held = int(np.argmax(gaps))
+    if gaps[held] > least:
+        shared = np.any((start > start[held]) & (start < end[held]))  # the other segments have the planned times
+        add(held, True, float(gaps[held]), (start >= end[held]) & ~shared)
     return tuple(found)
 
 

@@ -141,11 +141,11 @@ def several(found: Estimate) -> list[str]:
 
 def test_the_transients_of_a_filter_are_named() -> None:
     """They follow the steps of the rate and end after 3 s, so they are not the same function of the rate in all segments. The scale
-    factor is 12 standard uncertainties away if these come from the residuals. The noise within the segments, in which the transients
-    appear as well, makes them larger (decision 109)."""
+    factor is 12 standard uncertainties away. The transients also look like noise within the segments, but the residuals are not
+    significantly smaller than this noise (probability 2.6 %, decision 109), so they stay the basis of the uncertainties."""
     found = filtered(3.0, left_out=2.0)
     assert abs(found["K_gyro_z"].value - 200.0) > 10 * from_the_residuals(found)["K_gyro_z"]
-    assert found["K_gyro_z"].degrees_of_freedom > 50
+    assert found["K_gyro_z"].degrees_of_freedom == 5
     [text] = several(found)
     assert "the beginnings of" in text and "of 7 segments" in text
 
