@@ -75,8 +75,9 @@ class RepeatabilityParameters(Record):
     )
     quantities: dict[str, tuple[str, ...]] = key(
         MapOf(ListOf(Text("", "a name of the form estimate.coefficient"), minimum=2)),
-        "Repeated quantities whose coefficients have different names, such as a position that several outputs show: the "
-        "coefficients, each with the name of its estimate in `uses`. Use this in place of `coefficients`.",
+        "Coefficients that have different names but determine the same quantity, such as the position of a triad from each of "
+        "its accelerometers. Each key is a name for the quantity; its list names the coefficients, each with its estimate in "
+        "`uses`. Use this in place of `coefficients`.",
         {"position_x": ["unit_x.lever_arm_r_x_accel_x", "unit_y.lever_arm_r_x_accel_y"]},
         default_factory=dict,
     )

@@ -109,8 +109,8 @@ def _check_selections(specs: Sequence[EstimateSpec | DiagnosisSpec], labels: Lab
 
 
 def _check_unused(segments: Sequence[StatedSegment], used: set[int], log: Findings) -> None:
-    """Adds one warning for each position in the plan that defines unused segments, even if several unused segments are defined
-    there. `used`: indices of the used segments."""
+    """Adds one warning for each place in the plan file where unused segments are defined, even if several unused segments are
+    defined at one place. `used`: indices of the used segments."""
     unused: dict[Mark, list[str]] = {}
     for index, segment in enumerate(segments):
         if index not in used and not segment.conditioning:

@@ -339,8 +339,9 @@ def _weighed(effect: Effect, observed: Observed | None) -> bool:
 
 
 def _exact(weighing: Weighing, candidate: Candidate) -> dict[str, Forms]:
-    """Maps the name of an effect to its forms if the shape alone determines the effect; a form is the effect at one value of its
-    shape. The result is empty for any other effect, and if no form explains the data better than no effect."""
+    """Returns the forms of an effect without an amplitude, such as a delay or a limit, under the name of the effect. Each form is
+    the effect at one value of its shape parameter. Returns an empty result in two cases: if the effect has an amplitude, or if the
+    data contain too little evidence for the effect."""
     effect = shape_alone(candidate)
     found = candidate.whole or (whole_forms(weighing, effect) if effect is not None else ())
     return {candidate.id: found} if found else {}
