@@ -432,7 +432,7 @@ def _consequence(fit: OutputsFit, found: SuspectedDrift) -> Said:
 def _size(found: SuspectedDrift) -> Said:
     """Returns a clause that states how the uncertainty of the coefficient would change if the drift were fitted."""
     if not np.isfinite(found.growth):
-        return said("these segments cannot separate the two at all")
+        return said("no fit to these segments can separate the two")
     return said(
         "if the drift were fitted together with the coefficients, the standard uncertainty would be {growth:.2g} "
         "times as large",

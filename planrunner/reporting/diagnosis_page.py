@@ -46,9 +46,7 @@ FOOTER = (
     "Probabilities depend on fixed priors and on the noise that the bench declares. An effect is named only if "
     "the probability of “none” is below 5 %; effects that this plan cannot separate are named together."
 )
-WHERE = (
-    "Where: each factor divides the same gap differently, so the shares add up within one factor but not across factors"
-)
+WHERE = "Where the gap is: each factor, such as the orientation or the rate, divides the whole gap. Add up only the shares of one factor"
 Data = Mapping[str, Json]
 
 

@@ -446,7 +446,7 @@ def _warned(wrong: WrongDeclaration) -> tuple[str, str]:
     return f"{told.name}: {wrong.message}{also}", hint
 
 
-_EXAMINE = "examine the recording; an error of single samples does not cause a gap between segments"
+_EXAMINE = "examine the recording; errors of single samples cannot explain a difference between the means of segments"
 
 
 def _without_spikes(recorded: Recorded, sensor: SensorModel, log: Findings) -> Recorded:

@@ -731,7 +731,7 @@ def _warnings(one: Modelled) -> list[Said]:
                 growth=one.hidden.growth,
             )
             if np.isfinite(one.hidden.growth)
-            else said("these temperatures cannot separate the two at all")
+            else said("no fit to these temperatures can separate the two")
         )
         found.append(
             said(

@@ -28,8 +28,8 @@ WORDS = {
     "nonlinearity": said("largest residual, divided by the largest output"),
     "asymmetry": said("difference between the scale factors at positive and negative rates, divided by their mean"),
     "response": said(
-        "change of output between the lowest positive and the lowest negative rate, divided by the change according to the line; if "
-        "all rates have the same sign, the two lowest rates are used"
+        "change of output between the positive and the negative rate that are closest to zero, divided by the change according to the "
+        "line; if all rates have the same sign, the two rates closest to zero are used"
     ),
     "repeatability": said("relative standard deviation of K between repeats"),
     "temperature_coefficient": said("slope of K over temperature, divided by K at the reference temperature"),
