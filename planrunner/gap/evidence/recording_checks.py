@@ -534,7 +534,10 @@ def check_segments(observed: Observed, where: str, log: Findings) -> None:
             f"the means of {names} over many segments are closer to zero than noise allows: an earlier program seems to have removed the "
             "means, and with them the effects on the bias"
         )
-        hint = "diagnose the original recording, in which each segment still has its mean; otherwise, effects that change the means remain hidden"
+        hint = (
+            "diagnose the original recording, in which each segment still has its mean; otherwise, effects that change the means "
+            "remain hidden"
+        )
         log.warning("gap-means-removed", mark, message, hint)
 
 
