@@ -443,7 +443,7 @@ def text_schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
 
 
 def schema(dimension: str | None, uncertain: bool) -> dict[str, object]:
-    """Returns the JSON Schema of a quantity: as text, and also as a mapping if an uncertainty may be stated."""
+    """Returns the JSON Schema of a quantity. It accepts text and, if an uncertainty may be stated, also a mapping."""
     if not uncertain:
         return text_schema(dimension, uncertain=False)
     text = text_schema(dimension, uncertain=True)

@@ -60,10 +60,10 @@ def _template_of(name: str, roots: tuple[Path, ...]) -> tuple[str, str]:
 
 
 def lay_out(name: str, given: Mapping[str, Json], folder: Path | None = None, most: int = MAX_OUTPUT) -> str:
-    """Renders the template `name` (with or without `.j2`) with the data `given` in this process; returns the text.
+    """Renders a template in this process and returns the text.
 
-    `folder`: a user's template folder, which is searched before the shipped one. `most`: maximum number of characters of the text.
-    Raises `ReportError` if the template cannot be rendered.
+    `name`: name of the template, with or without `.j2`. `given`: the data. `folder`: a user's template folder, which is searched
+    before the shipped one. `most`: maximum number of characters of the text. Raises `ReportError` if the template cannot be rendered.
     """
     import jinja2
 

@@ -251,8 +251,8 @@ class _Model:
 
     def _weighed(self, spreads: Array) -> tuple[Array, Array, Array, Array]:
         """Returns the arrays S (P, n), G^½ (P, g), M (P, g, g) and G^½h (P, g) of the formulas in the module docstring. `spreads`:
-        array of shape (P, C), P sets of the standard deviations σ of the C chosen components. g counts the groups of these
-        components, except those of a component in which each run forms its own group."""
+        array of shape (P, C), P sets of the standard deviations σ of the C chosen components. g: number of the groups of these
+        components. If each run forms its own group of a component, this component is not counted."""
         s = np.broadcast_to(self._variance, (len(spreads), len(self._y)))
         if self._alone is not None:
             s = s + spreads[:, [self._alone]] ** 2

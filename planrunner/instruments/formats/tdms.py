@@ -1,6 +1,7 @@
 """Reads TDMS files of LabVIEW. A column is named after its group and its channel, with `/` between them (`IMU/Gyro X`).
 
-LabVIEW stores the time of a waveform as its start and its increment. The column `wf_time_s` of a group contains these times, in s.
+LabVIEW does not store the times of the samples of a waveform, but only their start and their increment. The column `wf_time_s` of a
+group contains the times that follow from these two, in s.
 """
 
 from __future__ import annotations
