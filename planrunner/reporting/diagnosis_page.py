@@ -716,7 +716,9 @@ def heat_svg(heat: Data, key: str) -> str:
         axes.tick_params(length=0, labelsize=7)
         _legend(axes, colours, hottest)
         row, column = np.unravel_index(int(np.argmax(np.nan_to_num(values))), values.shape)
-        described = f"The largest gap is {values[row, column]:.3g} times the noise: {channels[row]} in '{segments[column]}'."
+        described = (
+            f"The largest gap is {values[row, column]:.3g} times the noise: {channels[row]} in '{segments[column]}'."
+        )
         title = f"Gap of {count_of(len(channels), 'channel')} over {count_of(len(segments), 'segment')}"
         return save(key, title, described)
 
