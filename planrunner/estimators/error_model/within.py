@@ -62,8 +62,8 @@ class Shape:
         return self.part.effect.id
 
     def at(self, place: float) -> float:
-        """Returns the value of the shape at the position `place` in the list of catalogue values. Positions count from 0; between
-        two values, the value is interpolated."""
+        """Returns the value of the shape at the index `place` in the list of catalogue values. Indices count from 0; a fractional index
+        interpolates between two values."""
         from scipy.interpolate import PchipInterpolator
 
         if self.discrete or len(self.values) < 3:

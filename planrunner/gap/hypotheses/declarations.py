@@ -281,9 +281,9 @@ def _fit(observed: Observed, parts: Sequence[slice]) -> _Fit:
 def _taken_for_each_other(
     gains: Array, seen: Array, axes: Sequence[int], follows: NDArray[np.bool_]
 ) -> list[tuple[int, int]]:
-    """Finds exchanged channels of which the plan varies the input of only one, for example the channel of a table's axis and a channel
-    across it. The channel of the varied axis hardly shows the input; exactly one channel of an axis that is not varied shows all
-    of it. Returns the places of the two channels of each such pair in `axes`.
+    """Finds pairs of exchanged channels. The plan varies the input of only one channel of each pair, for example of the channel along the
+    axis of a table, but not of the channel across it. The channel of the varied axis hardly shows the input; exactly one channel of an
+    axis that is not varied shows all of it. Returns the places of the two channels of each such pair in `axes`.
 
     `gains`: array of shape (r, K), gain of each channel along the directions. `seen`: array of shape (r, 3), the directions that the
     plan varies. `axes`: declared axis of each of the K channels. `follows`: array of shape (K,), True for channels that follow the
