@@ -38,3 +38,6 @@ class EffectAbsentError(EstimationError):
         super().__init__(message, hint, f"outputs.{output}")
         self.effect = effect
         self.output = output
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return type(self), (self.effect, self.output, str(self), self.hint)

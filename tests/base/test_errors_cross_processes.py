@@ -24,6 +24,8 @@ _GIVEN = {
     "key": "segments",
     "version": 1,
     "known": 3,
+    "effect": "gyro_bias",
+    "output": "gyro_x",
 }
 """Values for the arguments of the exceptions, by their names."""
 _STAY = {"CalledOffError", "StoppedAtOnceError", "RefusedRequestError", "EndedError"}

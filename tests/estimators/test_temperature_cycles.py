@@ -123,7 +123,7 @@ def test_temperatures_that_only_rise_hide_a_drift_in_time() -> None:
         *((celsius, 7 * 3600.0 + time) for (celsius, _), (_, time) in zip(rising[::-1], rising, strict=True)),
     ]
     [text] = hidden(rising)
-    assert "K_T1" in text and "cannot separate" in text
+    assert "K_T1" in text and "no fit to these temperatures can separate" in text
     assert not hidden(rising, drift="none")
     assert not hidden(back)
     # A little out of order: the factor is 1/√(1 − r²), with r the correlation of temperature and time.
