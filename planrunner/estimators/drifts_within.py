@@ -5,9 +5,10 @@ drift during the whole test, which `drift_fit` looks for, has the same rate in a
 
 Each segment is divided into equal parts. The rate b of a segment is the slope of the straight line through the means of its parts, and
 the scatter about this line gives its standard uncertainty u. This scatter is described as white noise and a random walk. The ratio of
-the two densities is the same in all segments. It nearly maximises the likelihood of the scatter in all segments, with the lines eliminated
-(restricted maximum likelihood: H. D. Patterson and R. Thompson, Biometrika 58, 1971). White noise alone would give rates with
-much too small uncertainties, if the noise is correlated over the length of a segment.
+the two densities is the same in all segments. The variances are averaged over this ratio, weighted by the likelihood of the scatter in
+all segments, with the lines eliminated (restricted likelihood: H. D. Patterson and R. Thompson, Biometrika 58, 1971). The most likely
+ratio alone is sometimes zero by chance. White noise alone would give rates with much too small uncertainties, if the noise is
+correlated over the length of a segment.
 
 The rate of a segment is compared with the weighted mean of the rates of the other segments. If there are at least three other segments,
 the variance of the difference is multiplied by χ²/dof of their rates, if this ratio is larger than one. The segment is named if a t-test
@@ -36,11 +37,9 @@ _CHANCE = 1e-5
 """Probability that white noise alone gives a warning about one output. In simulations, a random walk with white noise of any size
 gives a warning in at most 0.5 % of the estimates, and flicker in at most 0.1 %."""
 _SCATTERING = 3  # other segments whose rates show the noise of a rate
-_AS_LIKELY = 0.12
-"""Increase of −2·ln L up to which a ratio counts as likely. The largest such ratio is used. With the most likely ratio, two segments gave
-a warning in 1.2 % of the estimates with a random walk, because the most likely ratio is sometimes zero by chance."""
 _RATIOS = np.concatenate([[0.0], np.logspace(-4, 5, 73)])
-"""Variance of a random walk over one part, divided by the variance of the white noise of a part."""
+"""Variance of a random walk over one part, divided by the variance of the white noise of a part. Before the measurement, all of these
+ratios are equally probable."""
 
 
 @runtime_checkable
@@ -150,8 +149,9 @@ def _noise(means: Array, part: Array) -> tuple[Array, Array]:
     deviance = (count - 2) * np.log(np.maximum(white, np.finfo(float).tiny)).sum(axis=1) + np.log(spread).sum(
         axis=(1, 2)
     )
-    best = int(np.flatnonzero(deviance <= deviance.min() + _AS_LIKELY)[-1])
-    return white[best], white[best] * ratios[best]
+    weight = np.exp((deviance.min() - deviance) / 2)
+    weight /= weight.sum()
+    return weight @ white, weight @ (white * ratios)
 
 
 def _random_walk(count: int) -> Array:

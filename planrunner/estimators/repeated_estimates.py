@@ -107,20 +107,18 @@ def _scatter_words(names: Sequence[str], estimates: Sequence[Estimate]) -> Said 
     worse = sorted((pair for pair in tested if pair[1].chance * len(tested) < SIGNIFICANT), key=lambda p: p[1].chance)
     if not worse:
         return None
-    listed = tuple(f"{name} {test.ratio:.2g}" for name, test in worse[:_NAMED])
-    more = len(worse) - _NAMED
-    shown: Said | tuple[str, ...] = said("{names} and {more} more", names=listed, more=more) if more > 0 else listed
-    known = tuple(names[:_NAMED])
-    others = len(names) - _NAMED
-    all_names: Said | tuple[str, ...] = (
-        said("{names} and {more} more", names=known, more=others) if others > 0 else known
-    )
     return said(
         "The estimates {estimates} repeat each other on different segments, but they scatter more than their standard uncertainties "
         "allow. The scatter divided by the standard uncertainties is {ratios}; by chance, such ratios have a probability of at most "
         "{chance:.2g}. The uncertainties do not include changes from repeat to repeat. Use the scatter of the repeats (estimator "
         "`repeatability`), or find what changed.",
-        estimates=all_names,
-        ratios=shown,
+        estimates=_first(names),
+        ratios=_first([f"{name} {test.ratio:.2g}" for name, test in worse]),
         chance=max(test.chance for _, test in worse[:_NAMED]) * len(tested),
     )
+
+
+def _first(texts: Sequence[str]) -> Said | tuple[str, ...]:
+    """Returns the first `_NAMED` texts, and the number of the others."""
+    more = len(texts) - _NAMED
+    return said("{names} and {more} more", names=tuple(texts[:_NAMED]), more=more) if more > 0 else tuple(texts)

@@ -299,7 +299,7 @@ def test_a_wrong_unit_that_hides_the_intervals_at_rest_is_said(tmp_path):
 
 @pytest.mark.parametrize("wrong", [True, False])
 def test_one_accelerometer_does_not_show_a_wrong_unit(tmp_path, wrong):
-    """A vibrating sensor at rest with z up: x does not measure gravity. The unit is wrong if all accelerometers together say so."""
+    """A vibrating sensor at rest with z up: x does not measure gravity, so only all accelerometers together show a wrong unit."""
     laboratory(tmp_path, [row for row in listed() if row.axes.endswith("up") and not row.rate])
     keys = "{segments: {detect: still, window: 0.5 s, threshold: 0.1 m/s^2, at_least: 1 s, channels: [accel_x]}}"
     diagnosed_with(tmp_path, keys)
